@@ -1,0 +1,24 @@
+"""Settings of every test: strict shapes, strict broadcasting, reproducible properties."""
+
+from collections.abc import Iterator
+
+import hypothesis
+import jax
+import pytest
+from jaxtyping import install_import_hook
+
+# Before anything of the library is imported: every jaxtyping annotation in it becomes a runtime check.
+install_import_hook("tryon_jax", "beartype.beartype")
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# The same examples in every run; the first call of a property may compile, so it has no deadline.
+hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=30, database=None)
+hypothesis.settings.load_profile("repeatable")
+
+
+@pytest.fixture
+def x64() -> Iterator[None]:
+    """Float64 for the duration of one test."""
+    with jax.enable_x64(True):
+        yield
