@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 IntArray = np.ndarray
 
 
-def directed_edges(faces: Int[IntArray, "F 3"]) -> Int[IntArray, "3F 2"]:
+def directed_edges(faces: Int[IntArray, "F 3"]) -> Int[IntArray, "3*F 2"]:
     """Half-edges (0→1, 1→2, 2→0) of every face, corner-major: half-edge k·F + f belongs to face f."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
 

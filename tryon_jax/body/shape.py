@@ -1,0 +1,44 @@
+"""Shape of a body: betas to vertices and joints (Loper et al. 2015, equations 8 and 10)."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike as AnyArrayLike
+
+from tryon_jax.checks import check_finite
+from tryon_jax.types import ArrayLike, Body
+
+# Shape is a sum of ten millimetre-sized terms: reduced-precision matrix units would add visible noise to the skin.
+EXACT = jax.lax.Precision.HIGHEST
+
+
+def shape_body(body: Body, betas: Float[ArrayLike, " b"]) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"]]:
+    """Vertices and joints (metres, T-pose) of `body` with shape `betas` (standard deviations).
+
+    Fewer betas than `body.num_betas` mean zeros for the rest. Pure: jit, grad and `vmap` over betas.
+
+    Raises `ValueError` when `betas` is not one vector of at most `body.num_betas` numbers.
+    """
+    betas = jnp.asarray(betas)
+    if betas.ndim != 1 or betas.shape[0] > body.num_betas:
+        raise ValueError(
+            f"betas must be one vector of 0 to {body.num_betas} numbers for body {body.name!r}, got shape "
+            f"{betas.shape} (use jax.vmap for a batch)"
+        )
+    directions = jnp.asarray(body.shapedirs)[..., : betas.shape[0]]
+    vertices = jnp.asarray(body.v_template) + jnp.einsum("vdb,b->vd", directions, betas, precision=EXACT)
+    joints = jnp.matmul(jnp.asarray(body.J_regressor), vertices, precision=EXACT)
+    return vertices, joints
+
+
+def check_betas(body: Body, betas: AnyArrayLike) -> Float[Array, " b"]:
+    """`betas` as a float vector fit for `shape_body`, for values that a user hands in (host side).
+
+    Raises `ValueError` for a wrong length, NaN or infinity, `TypeError` for things that are not numbers.
+    """
+    vector = check_finite("betas", betas)
+    if vector.ndim != 1 or len(vector) > body.num_betas:
+        raise ValueError(
+            f"betas must be 0 to {body.num_betas} numbers for body {body.name!r}, got an array of shape {vector.shape}"
+        )
+    return jnp.asarray(vector, jnp.result_type(float))
