@@ -1,0 +1,61 @@
+"""Does a layout draw panels that can be cut and sewn, over its whole range of parameters?"""
+
+import itertools
+from collections.abc import Mapping
+
+import numpy as np
+
+from tryon_jax.garment import curves
+from tryon_jax.garment.layout import Layout
+
+SEAM_TOLERANCE = 0.005
+"""Largest difference between the lengths of the two edges of a seam, as a fraction."""
+
+
+def check_layout(layout: Layout, max_combinations: int = 243) -> None:
+    """Check the geometry of a layout at every combination of minimum, mean and maximum of its parameters.
+
+    Where that would be more than `max_combinations`, parameters that are not active stay at their means.
+
+    Raises:
+        ValueError: from `check_drawing`, with the parameter values at which the layout fails.
+    """
+    parameters = layout.parameters
+    free = list(parameters) if 3 ** len(parameters) <= max_combinations else [p for p in parameters if p.active]
+    fixed = {p.name: p.mean for p in parameters}
+    for combination in itertools.product(*((p.mean, p.minimum, p.maximum) for p in free)):
+        check_drawing(layout, fixed | {p.name: v for p, v in zip(free, combination, strict=True)})
+
+
+def check_drawing(layout: Layout, values: Mapping[str, float]) -> None:
+    """Check one drawing: outlines closed, counter-clockwise and simple, edges not too short, seams of equal length.
+
+    Raises:
+        ValueError: naming the panel, edge or seam, and the parameter values.
+    """
+    at = ", ".join(f"{k} = {v:g}" for k, v in values.items())
+    drawn = layout.draw(values)
+    for panel in layout.panels:
+        where = f"{layout.source}: panel {panel.name!r}"
+        ends = [drawn[e][[0, -1]] if forward else drawn[e][[-1, 0]] for e, forward in panel.outline]
+        for i, (edge, _) in enumerate(panel.outline):
+            following = panel.outline[(i + 1) % len(ends)][0]
+            gap = float(np.linalg.norm(ends[i][1] - ends[(i + 1) % len(ends)][0]))
+            if gap > 1e-6:
+                raise ValueError(f"{where}: edge {edge!r} ends {gap:.4f} m from the start of {following!r} ({at})")
+            if curves.length(drawn[edge]) < 0.01:
+                raise ValueError(f"{where}: edge {edge!r} is shorter than 1 cm ({at})")
+        outline = layout.panel_outline(panel, drawn)
+        crossing = curves.first_crossing(outline)
+        if crossing is not None:
+            u, v = outline[crossing[0]]
+            raise ValueError(f"{where}: the outline crosses itself near u = {u:.3f}, v = {v:.3f} ({at})")
+        if curves.polygon_area(outline) <= 0:
+            raise ValueError(f"{where}: the outline runs clockwise; walk its edges counter-clockwise ({at})")
+    for seam, (first, second) in layout.seams.items():
+        lengths = [curves.length(drawn[edge]) for _, edge in (first, second)]
+        if abs(lengths[0] - lengths[1]) > SEAM_TOLERANCE * max(lengths):
+            raise ValueError(
+                f"{layout.source}: the two edges of seam {seam!r} do not match: {'.'.join(first)} is {lengths[0]:.4f} m "
+                f"long, {'.'.join(second)} is {lengths[1]:.4f} m ({at})"
+            )

@@ -1,0 +1,77 @@
+"""Where does a point of the pattern lie on another triangulation of the same pattern?"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+CANDIDATES = 12
+"""Triangles with the nearest centroids that are tried before all of them are."""
+
+OUTSIDE = 1e-3
+"""Barycentric weights down to minus this count as inside."""
+
+
+def barycentric(
+    corners: Float[np.ndarray, "... 3 2"], points: Float[np.ndarray, "... 2"]
+) -> Float[np.ndarray, "... 3"]:
+    """Barycentric weights of points in triangles in the plane; they sum to 1, negative outside."""
+    a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
+
+    def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+
+    area = cross(b - a, c - a)
+    first = cross(b - points, c - points) / area
+    second = cross(c - points, a - points) / area
+    return np.stack([first, second, 1.0 - first - second], axis=-1)
+
+
+def locate(
+    points: Float[np.ndarray, "P 2"], corners: Float[np.ndarray, "N 2"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[Int[np.ndarray, " P"], Float[np.ndarray, "P 3"]]:
+    """The triangle each point lies in, and its weights there.
+
+    A point outside of all triangles (the coarser mesh cuts the corners of curved outlines) gets the triangle that it
+    is least outside of, and weights clamped to it: not negative, sum 1.
+    """
+    tried = min(CANDIDATES, len(faces))
+    _, near = cKDTree(corners[faces].mean(axis=1)).query(points, tried)
+    near = np.atleast_2d(near.T).T
+    weights = barycentric(corners[faces[near]], points[:, None])
+    best = weights.min(axis=2).argmax(axis=1)
+    rows = np.arange(len(points))
+    face, weight = near[rows, best], weights[rows, best]
+    lost = np.flatnonzero(weight.min(axis=1) < -OUTSIDE)
+    for part in np.array_split(lost, max(1, len(lost) * len(faces) // 2_000_000)):
+        every = barycentric(corners[faces][None], points[part][:, None])
+        face[part] = every.min(axis=2).argmax(axis=1)
+        weight[part] = every[np.arange(len(part)), face[part]]
+    weight = np.maximum(weight, 0.0)
+    return face, weight / weight.sum(axis=1, keepdims=True)
+
+
+def on_edges(
+    fine: Mapping[str, Int[np.ndarray, " E"]], coarse: Mapping[str, Int[np.ndarray, " K"]]
+) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, "P 3"], Float[np.ndarray, "P 3"]]:
+    """Weights of outline samples on a coarser sampling of the same edges, by their fraction of each edge.
+
+    Both samplings are uniform along every edge, so the fraction alone says where a sample lies: the two sides of a
+    seam get the same place on the template, which a search in UV would not promise.
+
+    Returns:
+        the fine samples, the coarse samples at both ends of the interval (the last column repeats the first with
+        weight 0), and the weights.
+    """
+    samples, ends, weights = [], [], []
+    for edge, index in fine.items():
+        knots = coarse[edge]
+        at = np.linspace(0.0, len(knots) - 1.0, len(index))
+        low = np.minimum(at.astype(int), len(knots) - 2)
+        part = at - low
+        samples.append(index)
+        ends.append(np.stack([knots[low], knots[low + 1], knots[low]], axis=1))
+        weights.append(np.stack([1.0 - part, part, np.zeros_like(part)], axis=1))
+    order, first = np.unique(np.concatenate(samples), return_index=True)
+    return order, np.concatenate(ends)[first], np.concatenate(weights)[first]

@@ -1,0 +1,154 @@
+"""The template: a small sewn mesh with the same connectivity for every design, whose UV follow the design.
+
+The reference is the triangulated mean design; other designs carry it along (`morph`). The same construction at a
+higher density gives the dense template, on which first drapes are simulated.
+"""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from tryon_jax.garment.curves import polygon_area
+from tryon_jax.garment.design import Design, DesignSpace
+from tryon_jax.garment.layout import Layout
+from tryon_jax.garment.mesh import SewnMesh
+from tryon_jax.garment.morph import morph
+from tryon_jax.garment.sewing import SampledOutline, count_outline_vertices, edge_counts, sample_outline, sew
+from tryon_jax.garment.triangulate import edge_length, interior_count, triangulate
+
+TEMPLATE_VERTICES = 403
+"""Vertices of the template (section "Dataset and Implementation Details")."""
+
+DENSE_VERTICES = 17_246
+"""Vertices of the mesh for first simulations and for the fully connected baseline (same section)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A triangulated reference design, from which every other design's template is carried along."""
+
+    values: Mapping[str, float]
+    """Values of all the layout's parameters."""
+    counts: Mapping[str, int]
+    """Segments on each edge."""
+    points: tuple[Float[np.ndarray, "N 2"], ...]
+    """Points of each panel, outline first."""
+    faces: tuple[Int[np.ndarray, "F 3"], ...]
+    """Counter-clockwise triangles of each panel."""
+
+
+def make_reference(layout: Layout, num_vertices: int, seed: int = 0) -> Reference:
+    """Triangulate the layout's mean design so that the sewn mesh has exactly `num_vertices` vertices.
+
+    Raises:
+        ValueError: where so few vertices cannot follow the layout's outlines.
+    """
+    values = {p.name: p.mean for p in layout.parameters}
+    outlines, counts, inner = _share_vertices(layout, layout.draw(values), num_vertices)
+    rng = np.random.default_rng(seed)
+    made = [triangulate(o.points, n, rng, iterations=60, refresh=4) for o, n in zip(outlines, inner, strict=True)]
+    return Reference(values, counts, tuple(p for p, _ in made), tuple(f for _, f in made))
+
+
+def _share_vertices(
+    layout: Layout, drawn: Mapping[str, np.ndarray], num_vertices: int
+) -> tuple[list[SampledOutline], dict[str, int], list[int]]:
+    """Outline samples, and points inside each panel, that add up to `num_vertices` after sewing."""
+    area = sum(polygon_area(layout.panel_outline(panel, drawn)) for panel in layout.panels)
+    spacing = edge_length(area / (2 * num_vertices))
+    for _ in range(40):
+        counts = edge_counts(layout, drawn, spacing)
+        outlines = [sample_outline(panel, drawn, counts) for panel in layout.panels]
+        inner = [interior_count(o.points, np.sqrt(3) / 4 * spacing**2) for o in outlines]
+        missing = num_vertices - count_outline_vertices(layout, outlines) - sum(inner)
+        if abs(missing) <= max(2, 0.02 * num_vertices):
+            # The rest is shared out evenly; the sampling of the outlines moves in whole edges and rarely fits.
+            for k in range(abs(missing)):
+                inner[k % len(inner)] += int(np.sign(missing))
+            if min(inner) >= 0:
+                return outlines, counts, inner
+        spacing *= float(np.sqrt((num_vertices - missing) / num_vertices))
+    raise ValueError(f"{layout.source}: no template of {num_vertices} vertices follows its outlines")
+
+
+def _reference_file(layout: Layout, num_vertices: int) -> Path | None:
+    file = resources.files("tryon_jax") / "data" / "layouts" / f"{layout.name}_{num_vertices}.npz"
+    path = Path(str(file))
+    return path if layout.builtin and path.is_file() else None
+
+
+def save_reference(reference: Reference, path: str | Path) -> None:
+    """Write a reference as an npz file (see `load_reference`)."""
+    arrays: dict[str, np.ndarray] = {
+        "parameters": np.array(list(reference.values)),
+        "values": np.array(list(reference.values.values())),
+        "edges": np.array(list(reference.counts)),
+        "counts": np.array(list(reference.counts.values()), np.int32),
+    }
+    for k, (points, faces) in enumerate(zip(reference.points, reference.faces, strict=True)):
+        arrays[f"points_{k}"] = points
+        arrays[f"faces_{k}"] = faces.astype(np.int16 if len(points) < 2**15 else np.int32)
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+@functools.cache
+def load_reference(layout: Layout, num_vertices: int = TEMPLATE_VERTICES) -> Reference:
+    """The reference of a layout: read from the library's data where it is kept there, otherwise made.
+
+    Trained networks depend on the template's connectivity, so that of the built-in layout is stored and not made
+    again by whatever version of Qhull is installed.
+    """
+    file = _reference_file(layout, num_vertices)
+    if file is None:
+        return make_reference(layout, num_vertices)
+    with np.load(file, allow_pickle=False) as data:
+        values = {str(n): float(v) for n, v in zip(data["parameters"], data["values"], strict=True)}
+        counts = {str(n): int(v) for n, v in zip(data["edges"], data["counts"], strict=True)}
+        panels = range(len(layout.panels))
+        return Reference(
+            values,
+            counts,
+            tuple(data[f"points_{k}"] for k in panels),
+            tuple(data[f"faces_{k}"].astype(np.int64) for k in panels),
+        )
+
+
+def _carry(space: DesignSpace, design: Design, num_vertices: int) -> tuple[SewnMesh, list[SampledOutline]]:
+    layout = space.layout
+    reference = load_reference(layout, num_vertices)
+    goal = space.layout_values(design)
+
+    @functools.cache
+    def drawn_at(t: float) -> dict[str, np.ndarray]:
+        return layout.draw({n: (1 - t) * start + t * goal[n] for n, start in reference.values.items()})
+
+    points = []
+    for k, panel in enumerate(layout.panels):
+
+        def outline_at(t: float, panel=panel) -> np.ndarray:
+            return sample_outline(panel, drawn_at(t), reference.counts).points
+
+        points.append(morph(reference.points[k], reference.faces[k], outline_at))
+    outlines = [sample_outline(panel, drawn_at(1.0), reference.counts) for panel in layout.panels]
+    return sew(layout, design, outlines, points, reference.faces), outlines
+
+
+def build_template(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> SewnMesh:
+    """The template of a design: connectivity fixed by the layout, UV positions by the design.
+
+    Args:
+        space: the design space.
+        design: any design in it.
+        num_vertices: 403 as in the paper; another number has its own reference, made once per process.
+
+    Returns:
+        a sewn mesh with exactly `num_vertices` vertices, no inverted triangles.
+
+    Source: section "Parametric 3D Drape" and "Dataset and Implementation Details" of the paper.
+    """
+    return _carry(space, design, num_vertices)[0]
