@@ -8,7 +8,7 @@ import pytest
 from jaxtyping import install_import_hook
 
 # Before anything of the library is imported: every jaxtyping annotation in it becomes a runtime check.
-install_import_hook("tryon_jax", "beartype.beartype")
+install_import_hook("tryon_jax", "runtime_types.check")
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

@@ -1,0 +1,5 @@
+"""The checker behind jaxtyping's import hook: beartype, where an `int` is a `float` as PEP 484 has it."""
+
+from beartype import BeartypeConf, beartype
+
+check = beartype(conf=BeartypeConf(is_pep484_tower=True))

@@ -1,0 +1,153 @@
+"""Pixels of one view: skin, cloth and floor under the sky, a key lamp and a rim lamp."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from tryon_jax.render.camera import Camera
+from tryon_jax.render.light import Lamp
+from tryon_jax.render.raster import Fragments, rasterize
+from tryon_jax.render.scene import Scene
+
+_SKY = 0.52
+_KEY = 1.12
+_RIM = 0.5
+# Light wanders under skin before it leaves, red the farthest: shadows end softly and warm.
+_SKIN_WRAP = np.array([0.30, 0.16, 0.11])
+_CLOTH_WRAP = np.array([0.05, 0.05, 0.05])
+# The inside of cloth beside its outside.
+_INSIDE = 0.45
+# Coverage is sampled on a grid of this many squared in each pixel; each kind of surface in it is shaded once.
+_SAMPLES = 3
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The part of the plane through the camera's target that a picture shows."""
+
+    left: float
+    """Metres."""
+    top: float
+    """Metres."""
+    pixel: float
+    """Metres per pixel."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+
+
+def render_view(
+    scene: Scene, camera: Camera, frame: Frame, background: Float[np.ndarray, "H W 3"]
+) -> Float[np.ndarray, "H W 3"]:
+    """Linear light of the scene before `background`."""
+    key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.62, 0.75, 0.75), radius=0.13, samples=6)
+    rim = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, 0.85, 0.45, -0.55), radius=0.0, samples=1)
+
+    screen = camera.project(scene.vertices)
+    screen[:, 0] = (screen[:, 0] - frame.left) / frame.pixel * _SAMPLES
+    screen[:, 1] = (frame.top - screen[:, 1]) / frame.pixel * _SAMPLES
+    fragments = rasterize(screen, scene.faces, frame.height * _SAMPLES, frame.width * _SAMPLES)
+    a, b, c = (screen[scene.faces[:, k], :2] for k in range(3))
+    turned = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) > (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+    # 0: body, 1: cloth, 2: inside of cloth; the last entry is what face -1 finds.
+    kinds = np.append(np.where(scene.face_is_cloth, 1 + turned, 0), 3).astype(np.uint8)
+
+    blocks = kinds[fragments.face].reshape(frame.height, _SAMPLES, frame.width, _SAMPLES).swapaxes(1, 2)
+    blocks = blocks.reshape(frame.height, frame.width, _SAMPLES**2)
+    empty = (blocks == 3).mean(axis=2)
+    floor = _floor_shade(scene, camera, frame, key)
+    picture = background * (floor * empty)[..., None]
+    for kind in range(3):
+        of_kind = blocks == kind
+        row, column = np.nonzero(of_kind.any(axis=2))
+        if len(row):
+            inside = of_kind[row, column]
+            sample = inside.argmax(axis=1)
+            at = row * _SAMPLES + sample // _SAMPLES, column * _SAMPLES + sample % _SAMPLES
+            light = _surface(scene, camera, key, rim, fragments, *at, kind)
+            picture[row, column] += light * inside.mean(axis=1, keepdims=True)
+    return picture
+
+
+def _from_camera(camera: Camera, right: float, up: float, towards: float) -> np.ndarray:
+    direction = np.array([right, up, towards]) @ camera.axes
+    return direction / np.linalg.norm(direction)
+
+
+def _surface(
+    scene: Scene,
+    camera: Camera,
+    key: Lamp,
+    rim: Lamp,
+    fragments: Fragments,
+    row: Int[np.ndarray, " N"],
+    column: Int[np.ndarray, " N"],
+    kind: int,
+) -> Float[np.ndarray, "N 3"]:
+    """Linear light that samples of one kind of surface send to the camera."""
+    weights = fragments.corner_weights(scene.faces, row, column)
+    corners = scene.faces[fragments.face[row, column]]
+    values = np.concatenate([scene.vertices, scene.normals, scene.colors, scene.sky], axis=1).astype(np.float32)
+    mixed = sum(values[corners[:, k]] * weights[:, k, None].astype(np.float32) for k in range(3))
+    points, normals, colors, sky = np.split(np.asarray(mixed), [3, 6, 9], axis=1)
+    is_cloth, is_inside = kind > 0, kind == 2
+    towards = _unit(camera.position - points)
+    normals = _unit(-normals if is_inside else normals)
+    # Cloth lets some of the light on its outside through.
+    ambient = sky[:, 1:] + 0.35 * sky[:, :1] if is_inside else sky[:, :1]
+    if is_inside:
+        colors = _INSIDE * colors
+
+    wrap = _CLOTH_WRAP if is_cloth else _SKIN_WRAP
+    facing = (normals @ key.direction)[:, None]
+    shadow = key.lit(points, normals)[:, None]
+    diffuse = np.clip((facing + wrap) / (1 + wrap), 0, None)
+    light = _SKY * ambient + _KEY * diffuse * (shadow + (1 - shadow) * 0.15 * wrap)
+
+    grazing = 1 - np.clip(_dot(normals, towards), 0, 1)
+    edge = np.clip(normals @ rim.direction, 0, None)[:, None] * rim.lit(points, normals)[:, None]
+    fuzz = (0.09 if is_cloth else 0.05) * grazing**3 * ambient
+    shine = np.clip(_dot(normals, _unit(key.direction + towards)), 0, 1)
+    gloss = (0.012 * shine**8 if is_cloth else 0.05 * shine**20) * shadow * (facing > 0)
+    return colors * (light + _RIM * edge) + fuzz + gloss + 0.2 * _RIM * edge * grazing**2
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.sum(a * b, axis=1, keepdims=True)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
+
+
+def _floor_shade(scene: Scene, camera: Camera, frame: Frame, key: Lamp) -> Float[np.ndarray, "H W"]:
+    """How much darker each pixel of the background is for the shadows on the floor."""
+    points = scene.floor.reshape(-1, 3)
+    up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), points.shape)
+    shape = scene.floor.shape[:2]
+    # A crisp shadow on the floor would draw the eye away from the garment: it is blurred, and fades from the feet.
+    sky = gaussian_filter(scene.floor_sky, 0.8, mode="nearest") / scene.floor_sky.max()
+    direct = gaussian_filter(key.lit(points, up).reshape(shape), 2.5, mode="nearest")
+    middle = scene.floor[shape[0] // 2, shape[1] // 2]
+    radius = np.linalg.norm(scene.floor - middle, axis=-1)
+    fade = np.clip((0.95 - radius) / 0.7, 0, 1)
+    dark = fade * (0.70 * (1 - sky) + 0.20 * (1 - direct))
+
+    x = frame.left + (np.arange(frame.width) + 0.5) * frame.pixel
+    y = frame.top - (np.arange(frame.height) + 0.5) * frame.pixel
+    rays = camera.rays(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2))
+    height = scene.floor[0, 0, 1] - camera.position[1]
+    with np.errstate(divide="ignore"):
+        along = np.where(rays[:, 1] < -1e-6, height / rays[:, 1], np.inf)
+    seen = np.flatnonzero(along < 2)
+    hit = camera.position + along[seen, None] * rays[seen]
+    step = scene.floor[0, 1, 0] - scene.floor[0, 0, 0]
+    at = (hit - scene.floor[0, 0])[:, [2, 0]].T / step
+    shade = np.ones(frame.width * frame.height)
+    shade[seen] -= map_coordinates(dark, at, order=1, cval=0.0)
+    edge = np.minimum(x - x[0], x[-1] - x)
+    window = np.clip(edge / 0.12, 0, 1)
+    return 1 - (1 - shade.reshape(frame.height, frame.width)) * window
