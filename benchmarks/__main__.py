@@ -1,0 +1,8 @@
+"""`python -m benchmarks NAME [options]`."""
+
+import sys
+
+from tryon_jax.cli import dispatch
+
+if __name__ == "__main__":
+    sys.exit(dispatch("python -m benchmarks", "benchmarks"))

@@ -1,0 +1,96 @@
+"""The command line `tryon`, and the dispatcher that it shares with `python -m experiments` and `python -m benchmarks`.
+
+Exit codes: 0 done, 1 the request could not be carried out, 2 the command line is wrong, 130 interrupted. What is wrong
+with a request is said in one line; `TRYON_TRACEBACK=1` in the environment shows where it was found.
+"""
+
+import ast
+import difflib
+import importlib
+import importlib.util
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import tyro
+
+import tryon_jax
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run `tryon` with `argv` (the process's arguments by default) and return the exit code."""
+    return dispatch("tryon", "tryon_jax.commands", argv)
+
+
+def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
+    """Run the module of `package` that the first argument names, with its `Config` made from the others.
+
+    Args:
+        prog: what the program is called in messages.
+        package: the package whose modules with a function `main(config)` are the commands.
+        argv: arguments, by default the process's.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    commands = find_commands(package)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_overview(prog, commands))
+        return 0 if arguments else 2
+    name, *rest = arguments
+    if name == "--version":
+        print(f"tryon_jax {tryon_jax.__version__}")
+        return 0
+    name = name.replace("-", "_") if name.replace("-", "_") in commands else name
+    if name not in commands:
+        near = difflib.get_close_matches(name, commands, n=3)
+        hint = f" (did you mean {' or '.join(near)}?)" if near else ""
+        print(f"{prog}: error: unknown command {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
+        return 2
+    return _run(f"{prog} {name}", f"{package}.{name}", rest)
+
+
+def find_commands(package: str) -> dict[str, str]:
+    """Names of the commands of `package`, each with the first line of its docstring; nothing of them is imported."""
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.submodule_search_locations:
+        raise ModuleNotFoundError(f"no package {package!r}")
+    commands = {}
+    for folder in spec.submodule_search_locations:
+        for path in sorted(Path(folder).glob("*.py")):
+            if path.stem.startswith("_"):
+                continue
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+                doc = ast.get_docstring(tree) or ""
+                commands[path.stem] = doc.splitlines()[0] if doc else ""
+    return commands
+
+
+def _overview(prog: str, commands: dict[str, str]) -> str:
+    width = max((len(name) for name in commands), default=0) + 2
+    lines = [f"usage: {prog} COMMAND [options]", "", "commands:"]
+    lines += [f"  {name:<{width}}{help_line}" for name, help_line in commands.items()]
+    lines += ["", f"{prog} COMMAND --help shows a command's options; --version shows the version."]
+    return "\n".join(lines)
+
+
+def _run(prog: str, module_name: str, arguments: list[str]) -> int:
+    try:
+        module = importlib.import_module(module_name)
+        config = tyro.cli(module.Config, prog=prog, description=module.__doc__, args=arguments)
+        module.main(config)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else 1 if stop.code else 0
+    except KeyboardInterrupt:
+        print(f"{prog}: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # Whoever read our output went away; Python would complain again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except (ValueError, TypeError, OSError, ImportError) as error:
+        if os.environ.get("TRYON_TRACEBACK"):
+            raise
+        print(f"{prog}: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+    return 0
