@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
+from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
@@ -159,7 +160,7 @@ def write_glb(path: str | Path, parts: Sequence[Part]) -> None:
             split.vertices, split.faces, vertex_normals=split.normals, visual=visual, process=False, validate=False
         )
         scene.add_geometry(mesh, node_name=part.name, geom_name=part.name)
-    data = trimesh.exchange.gltf.export_glb(scene, include_normals=True)
+    data = export_glb(scene, include_normals=True)
     write_bytes(path, bytes(data))
 
 
@@ -246,7 +247,7 @@ def write_npz(path: str | Path, parts: Sequence[Part]) -> None:
             if value is not None:
                 arrays[f"{part.name}_{field}"] = value
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **arrays)
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
 WRITERS: dict[str, Callable[[str | Path, Sequence[Part]], None]] = {

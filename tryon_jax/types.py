@@ -6,13 +6,13 @@ structure: changing one recompiles. Lengths are metres, angles radians, masses k
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias, dataclass_transform
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 
-ArrayLike = Array | np.ndarray
+ArrayLike: TypeAlias = jax.Array | np.ndarray
 
 
 def static(**kwargs: Any) -> Any:
@@ -20,6 +20,7 @@ def static(**kwargs: Any) -> Any:
     return field(metadata={"static": True}, **kwargs)
 
 
+@dataclass_transform(frozen_default=True, field_specifiers=(static, field))
 def pytree(cls: type) -> type:
     """Make `cls` a frozen dataclass registered as a pytree; fields made by `static` become its metadata."""
     frozen = dataclass(frozen=True)(cls)

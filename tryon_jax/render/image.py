@@ -39,7 +39,10 @@ def to_image(picture: Float[np.ndarray, "H W 3"]) -> "Image.Image":
 def save_image(path: str | Path, image: "Image.Image") -> None:
     """Write `image` in one step."""
     with atomic_path(check_picture_path(path)) as temporary:
-        image.save(temporary, **({"quality": 93} if temporary.suffix.lower() != ".png" else {"compress_level": 4}))
+        if temporary.suffix.lower() == ".png":
+            image.save(temporary, compress_level=4)
+        else:
+            image.save(temporary, quality=93)
 
 
 def write_words(image: "Image.Image", text: str, center: tuple[float, float], size: float) -> None:
