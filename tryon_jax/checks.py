@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 
-def check_finite(name: str, value: ArrayLike) -> np.ndarray:
+def check_finite(name: str, value: ArrayLike | float | int) -> np.ndarray:
     """Return `value` as an array, or raise `ValueError` naming the first entry that is NaN or infinite."""
     array = np.asarray(value)
     if not np.issubdtype(array.dtype, np.number):
@@ -24,7 +24,7 @@ def check_finite(name: str, value: ArrayLike) -> np.ndarray:
     return array
 
 
-def check_range(name: str, value: float, low: float, high: float, unit: str = "") -> float:
+def check_range(name: str, value: float | int, low: float | int, high: float | int, unit: str = "") -> float:
     """Return `value` as a float, or raise `ValueError` when it is not in [low, high]."""
     number = float(check_finite(name, value))
     if not low <= number <= high:

@@ -1,0 +1,178 @@
+"""From a triangle mesh to the padded graph that the networks run on; host side."""
+
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
+
+from tryon_jax.graph.buckets import bucket_for_levels
+from tryon_jax.graph.coarsen import coarsen
+from tryon_jax.graph.laplacian import scaled_laplacian
+from tryon_jax.graph.operator import SparseOperator, make_operator
+from tryon_jax.graph.pooling import Pooling, down_matrix, up_matrix
+from tryon_jax.mesh.topology import unique_edges
+from tryon_jax.types import ArrayLike, Body, pytree
+
+NUM_LEVELS = 5
+"""Levels of a hierarchy by default: the full graph and four halvings."""
+
+
+@pytree
+class GraphLevel:
+    """One resolution of the pooling hierarchy."""
+
+    laplacian: SparseOperator
+    """L̃ = 2 L / λ_max − I; rows of padded nodes are empty."""
+    down: SparseOperator | None
+    """To the next coarser level; None on the coarsest."""
+    up: SparseOperator | None
+    """Back from the next coarser level; None on the coarsest."""
+    mask: Bool[ArrayLike, "*batch N"]
+    """True at real nodes."""
+
+
+@pytree
+class GarmentGraph:
+    """A garment as the networks see it, padded to a size bucket; N nodes, of which the first `num_vertices` are real.
+
+    Stacked along a leading axis by `stack_graphs` it is a batch of garments for `jax.vmap`.
+    """
+
+    levels: tuple[GraphLevel, ...]
+    """Finest first; level l holds N / 2^l nodes."""
+    vertices: Float[ArrayLike, "*batch N 3"]
+    """Vertices on the mean body, metres; zero at padded nodes."""
+    faces: Int[ArrayLike, "*batch F 3"]
+    """Triangles, padded with (0, 0, 0) to F = 2 N."""
+    skinning_weights: Float[ArrayLike, "*batch N J"]
+    """Skinning weights of the closest body vertex on the mean body; zero at padded nodes."""
+    mask: Bool[ArrayLike, "*batch N"]
+    """True at real nodes."""
+    num_vertices: Int[ArrayLike, "*batch"]
+    """Number of real nodes (an array, so that garments of one bucket share compiled code)."""
+
+    @property
+    def num_nodes(self) -> int:
+        """The bucket size N."""
+        return self.vertices.shape[-2]
+
+
+def nearest_skinning_weights(vertices: Float[np.ndarray, "V 3"], body: Body) -> Float[np.ndarray, "V J"]:
+    """Skinning weights of the closest vertex of the mean body (section 4.2 of the paper)."""
+    _, nearest = cKDTree(np.asarray(body.v_template)).query(vertices)
+    return np.asarray(body.lbs_weights)[nearest]
+
+
+def build_graph(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    body: Body,
+    *,
+    num_levels: int = NUM_LEVELS,
+    pooling: Pooling = "average",
+    bucket: int | None = None,
+    dtype: np.dtype | type = np.float32,
+) -> GarmentGraph:
+    """Laplacians, pooling hierarchy and node features of a garment on the mean body, padded to a size bucket.
+
+    Args:
+        vertices: Metres, in the frame of the body.
+        faces: Triangles; clean meshes coarsen to exactly half at each level, others as far as they can.
+        body: Its mean shape and skinning weights describe the nodes.
+        num_levels: Resolutions, the finest included.
+        pooling: How coarse nodes gather features, see `down_matrix`.
+        bucket: Number of nodes to pad to; chosen by `bucket_size` when None.
+        dtype: Of all floating-point arrays.
+
+    Raises:
+        ValueError: there is no vertex, a face index is out of range, or `bucket` is too small.
+    """
+    num_vertices = len(vertices)
+    if num_vertices == 0 or len(faces) == 0:
+        raise ValueError(f"a garment needs vertices and faces, got {num_vertices} vertices and {len(faces)} faces")
+    if faces.min() < 0 or faces.max() >= num_vertices:
+        raise ValueError(
+            f"faces refer to vertex {faces.max()} (or {faces.min()}), but there are {num_vertices} vertices"
+        )
+    points = np.asarray(vertices, np.float64)
+    laplacians, downs, ups = [], [], []
+    level_points, level_faces = points, np.asarray(faces, np.int64)
+    for level in range(num_levels):
+        edges, _ = unique_edges(level_faces, len(level_points))
+        laplacians.append(scaled_laplacian(edges, len(level_points))[0])
+        if level + 1 < num_levels:
+            coarse = coarsen(level_points, level_faces)
+            down = down_matrix(coarse, pooling)
+            # Coarse features live where the down matrix puts them: at the means of the clusters, if it averages.
+            ups.append(up_matrix(level_points, down @ level_points, coarse.faces, coarse.cluster))
+            downs.append(down)
+            level_points, level_faces = level_points[coarse.kept], coarse.faces
+    sizes = [laplacian.shape[0] for laplacian in laplacians]
+    needed = bucket_for_levels(sizes)
+    size = bucket or needed
+    if any(n > size >> level for level, n in enumerate(sizes)) or size % (1 << (num_levels - 1)):
+        raise ValueError(f"bucket = {size} does not hold levels of {sizes} nodes; use {needed}")
+    levels = tuple(
+        _pad_level(
+            laplacians[i], downs[i] if i < len(downs) else None, ups[i] if i < len(ups) else None, size >> i, dtype
+        )
+        for i in range(num_levels)
+    )
+    weights = nearest_skinning_weights(points, body)
+    capacity = 2 * size
+    while capacity < len(faces):
+        capacity *= 2
+    return GarmentGraph(
+        levels=levels,
+        vertices=_pad_rows(points, size, dtype),
+        faces=_pad_rows(np.asarray(faces), capacity, np.int32),
+        skinning_weights=_pad_rows(weights, size, dtype),
+        mask=np.arange(size) < num_vertices,
+        num_vertices=np.asarray(num_vertices, np.int32),
+    )
+
+
+def _pad_rows(array: np.ndarray, size: int, dtype: np.dtype | type) -> np.ndarray:
+    padded = np.zeros((size, *array.shape[1:]), dtype)
+    padded[: len(array)] = array
+    return padded
+
+
+def _pad_level(
+    laplacian: sp.csr_array,
+    down: sp.csr_array | None,
+    up: sp.csr_array | None,
+    size: int,
+    dtype: np.dtype | type,
+) -> GraphLevel:
+    """Capacities that every mesh of the library fits (seven neighbours apart from few); others grow them."""
+    half = size // 2
+    tail = (max(size // 8, 1), 4)
+    return GraphLevel(
+        laplacian=make_operator(laplacian, (size, size), slots=7, tail=tail, dtype=dtype),
+        down=None
+        if down is None
+        else make_operator(down, (half, size), slots=4, tail=(max(half // 8, 1), 4), transposed_slots=1, dtype=dtype),
+        up=None
+        if up is None
+        else make_operator(
+            up, (size, half), slots=3, transposed_slots=8, transposed_tail=(max(half // 4, 1), 16), dtype=dtype
+        ),
+        mask=np.arange(size) < laplacian.shape[0],
+    )
+
+
+def stack_graphs(graphs: Sequence[GarmentGraph]) -> GarmentGraph:
+    """Garments of one bucket as one pytree with a leading axis, for `jax.vmap` over garments.
+
+    Raises:
+        ValueError: the garments are padded to different sizes.
+    """
+    shapes = {jax.tree.structure(g): None for g in graphs}
+    sizes = sorted({g.num_nodes for g in graphs})
+    if len(sizes) != 1 or len(shapes) != 1:
+        raise ValueError(f"graphs of different buckets cannot be stacked: {sizes}; build them with one `bucket`")
+    return jax.tree.map(lambda *arrays: np.stack([np.asarray(a) for a in arrays]), *graphs)

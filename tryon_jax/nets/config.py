@@ -1,0 +1,91 @@
+"""Sizes and conventions of a whole try-on model, by name or by hand."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from tryon_jax.checks import check_choice
+from tryon_jax.graph.build import NUM_LEVELS
+from tryon_jax.graph.pooling import Pooling
+from tryon_jax.nets.unet import UNetConfig
+
+Reference = Literal["smoothed", "paper"]
+
+
+@dataclass(frozen=True)
+class TryOnConfig:
+    """Everything about a model that is not an array; stored with its parameters."""
+
+    smooth: UNetConfig
+    fine: UNetConfig
+    body: str = "female"
+    """Name of the body."""
+    layout: str = "kimono"
+    """Name of the pattern's layout."""
+    parameters: tuple[str, ...] | None = None
+    """Active design parameters; by default those that the layout marks."""
+    template_vertices: int = 403
+    """Vertices T of the template."""
+    target_area: float = 1.78e-4
+    """Mean area of the garments' triangles, square metres."""
+    mean_hidden: int = 10
+    """Hidden neurons of R_mean."""
+    num_betas: int = 2
+    """Shape coefficients that the networks see."""
+    num_joints: int = 24
+    """Skinning weights per node."""
+    fabrics: tuple[str, ...] = ("gray-interlock",)
+    """One R_fine each."""
+    reference: Reference = "smoothed"
+    """What R_smooth's displacement is added to: "paper": M̄ (section 4.2); "smoothed": the smoothed M̄, whose detail
+    is added back before R_fine's displacement, so that neither network has to learn the smoothing."""
+    fine_betas: bool = True
+    """R_fine sees the betas too, not only positions and skinning weights."""
+    fine_detail: bool = True
+    """R_fine sees the detail of the mean drape, M̄ − smooth(M̄)."""
+    smoothing_length: float = 0.02
+    """Length of the Laplacian smoothing that separates smooth from fine, metres."""
+    pooling: Pooling = "average"
+    num_levels: int = NUM_LEVELS
+    """Resolutions of a graph; at least as many as the deeper network has."""
+    position_scale: float = 0.3
+    """Node positions are divided by this, metres."""
+    weight_scale: float = 0.5
+    """Skinning weights are divided by this."""
+    beta_scale: float = 2.0
+    """Betas are divided by this."""
+    detail_scale: float = 0.01
+    """Detail is divided by this, metres."""
+
+    @property
+    def smooth_features(self) -> int:
+        """Node features of R_smooth: position, skinning weights, betas."""
+        return 3 + self.num_joints + self.num_betas
+
+    @property
+    def fine_features(self) -> int:
+        """Node features of R_fine."""
+        return 3 + self.num_joints + self.num_betas * self.fine_betas + 3 * self.fine_detail
+
+
+SMALL = TryOnConfig(
+    smooth=UNetConfig(widths=(32, 48, 64, 96)),
+    fine=UNetConfig(widths=(32, 48, 64)),
+)
+"""Trains and runs on a CPU."""
+
+PAPER = TryOnConfig(
+    smooth=UNetConfig(widths=(84, 168, 336, 672, 1088), order=3),
+    fine=UNetConfig(widths=(84, 168, 336, 672), order=3),
+)
+"""R_smooth and one R_fine together weigh at most the paper's 71 MB in float32."""
+
+_CONFIGS = {"small": SMALL, "paper": PAPER}
+
+
+def load_config(name: str, **changes: object) -> TryOnConfig:
+    """A named configuration, "small" or "paper", with fields changed as given.
+
+    Raises:
+        ValueError: for an unknown name; TypeError for an unknown field.
+    """
+    return replace(_CONFIGS[check_choice("configuration", name, _CONFIGS)], **changes)

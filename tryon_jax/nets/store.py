@@ -1,0 +1,121 @@
+"""Parameter stores: a pytree of arrays in one safetensors file, with everything that says what it is for.
+
+No pickle: the file holds arrays named by their place in the tree, and a JSON record. Loading compares
+every name, shape and type with what the model expects before anything is returned.
+"""
+
+import dataclasses
+import hashlib
+import json
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save
+
+from tryon_jax.atomic import write_bytes
+from tryon_jax.checks import check_file
+from tryon_jax.types import Body
+
+SCHEMA = "tryon_jax/parameters/1"
+"""Name and version of the file format."""
+
+
+def hash_arrays(*arrays: Any) -> str:
+    """A short fingerprint of shapes, types and bytes."""
+    digest = hashlib.sha256()
+    for array in arrays:
+        array = np.asarray(array, order="C")
+        digest.update(f"{array.dtype.str}{array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()[:16]
+
+
+def hash_body(body: Body) -> str:
+    """Fingerprint of a body's shape, blend shapes, skinning weights and faces."""
+    return hash_arrays(body.v_template, body.shapedirs, body.lbs_weights, body.faces)
+
+
+def tree_names(tree: Any) -> dict[str, Any]:
+    """Leaves of a pytree by dotted path, such as "smooth.encoder.0.1.weight"."""
+    named = {}
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
+        parts = [str(getattr(p, "name", getattr(p, "key", getattr(p, "idx", p)))) for p in path]
+        named[".".join(parts)] = leaf
+    return named
+
+
+def save_store(path: str | Path, tree: Any, record: Mapping[str, Any]) -> None:
+    """Write the arrays of `tree` and `record` (plain JSON values) to one file, whole or not at all."""
+    arrays = {name: np.asarray(leaf, order="C") for name, leaf in tree_names(tree).items()}
+    metadata = {"schema": SCHEMA, "record": json.dumps(record, sort_keys=True)}
+    write_bytes(path, save(arrays, metadata=metadata))
+
+
+def read_record(path: str | Path) -> dict[str, Any]:
+    """The record of a store, without loading its arrays.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no parameter store, or one of another schema.
+    """
+    file = check_file("parameter store", path)
+    with file.open("rb") as stream:
+        start = stream.read(8)
+        size = struct.unpack("<Q", start)[0] if len(start) == 8 else -1
+        if not 0 < size <= min(file.stat().st_size, 100_000_000):
+            raise ValueError(f"{str(file)!r} is not a safetensors file")
+        try:
+            header = json.loads(stream.read(size))
+        except (UnicodeDecodeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{str(file)!r} is not a safetensors file: {error}") from error
+    metadata = header.get("__metadata__", {}) if isinstance(header, dict) else {}
+    if metadata.get("schema") != SCHEMA:
+        raise ValueError(f"{str(file)!r} has schema {metadata.get('schema')!r}, this version reads {SCHEMA!r}")
+    return json.loads(metadata["record"])
+
+
+def load_store(path: str | Path, expected: Mapping[str, Any]) -> dict[str, Array]:
+    """The arrays of a store by name, checked against `expected`, which has a shape and a dtype for each name.
+
+    Raises:
+        ValueError: an array is missing, superfluous, not finite, or of another shape or type; the first are listed.
+    """
+    read_record(path)
+    try:
+        arrays = load_file(check_file("parameter store", path))
+    except SafetensorError as error:
+        raise ValueError(f"{str(path)!r} is damaged: {error}") from error
+    faults = [f"{name} is missing" for name in expected if name not in arrays]
+    faults += [f"{name} is not part of the model" for name in arrays if name not in expected]
+    for name in expected.keys() & arrays.keys():
+        found, wanted = arrays[name], (tuple(expected[name].shape), np.dtype(expected[name].dtype))
+        if (found.shape, found.dtype) != wanted:
+            faults.append(f"{name} is {found.dtype}{list(found.shape)}, not {wanted[1]}{list(wanted[0])}")
+        elif not np.isfinite(found).all():
+            faults.append(f"{name} holds values that are not finite")
+    if faults:
+        raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(sorted(faults)[:8]))
+    return {name: jnp.asarray(arrays[name]) for name in expected}
+
+
+def compare_records(found: Mapping[str, Any], wanted: Mapping[str, Any], where: str = "") -> list[str]:
+    """Which fields differ between two records, each as "field: found, not wanted"."""
+    faults = []
+    for key in wanted:
+        if isinstance(wanted[key], Mapping) and isinstance(found.get(key), Mapping):
+            faults += compare_records(found[key], wanted[key], f"{where}{key}.")
+        elif found.get(key) != wanted[key]:
+            faults.append(f"{where}{key}: {found.get(key)!r}, not {wanted[key]!r}")
+    return faults
+
+
+def config_record(config: Any) -> dict[str, Any]:
+    """A configuration dataclass as JSON values (tuples become lists)."""
+    return json.loads(json.dumps(dataclasses.asdict(config)))
