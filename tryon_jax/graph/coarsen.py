@@ -118,11 +118,13 @@ def _link_ok(
 ) -> Bool[np.ndarray, " c"]:
     """Link condition, plus the cases it does not cover: tetrahedra, lone triangles and too many neighbours."""
     ring_drop, ring_keep = adjacency.rings(drop), adjacency.rings(keep)
-    common = ((ring_drop[:, :, None] == ring_keep[:, None, :]) & (ring_drop[:, :, None] >= 0)).sum(axis=(1, 2))
+    shared = ((ring_drop[:, :, None] == ring_keep[:, None, :]) & (ring_drop[:, :, None] >= 0)).any(axis=2)
+    common = shared.sum(axis=1)
     valence_drop, valence_keep = adjacency.valence[drop], adjacency.valence[keep]
     joined = valence_drop + valence_keep - common - 2
     tetrahedron = (num_faces == 2) & (valence_drop == 3) & (valence_keep == 3)
-    lone = (num_faces == 1) & (valence_drop == 2) & (valence_keep == 2)
+    third = ring_drop[np.arange(len(drop)), shared.argmax(axis=1)]
+    lone = (num_faces == 1) & ((adjacency.valence[third] == 2) | ((valence_drop == 2) & (valence_keep == 2)))
     return (common == num_faces) & (joined <= np.maximum(MAX_VALENCE, valence_keep)) & ~tetrahedron & ~lone
 
 

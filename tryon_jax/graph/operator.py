@@ -172,13 +172,14 @@ def _as_csr(matrix: sp.sparray | BCOO) -> sp.csr_array:
     return csr
 
 
-def apply_operator(operator: SparseOperator | BCOO, features: Float[Array, "N *rest"]) -> Float[Array, "M *rest"]:
+def apply_operator(operator: SparseOperator | BCOO, features: Float[ArrayLike, "N *rest"]) -> Float[Array, "M *rest"]:
     """The product of a sparse operator with node features [N, ...], differentiable in the features in every mode.
 
     Args:
         operator: From `make_operator`, or any `BCOO` matrix [M, N] (executed as it is).
         features: Node features; the axes behind the first one are all columns of the product.
     """
+    features = jnp.asarray(features)
     flat = features.reshape(features.shape[0], -1)
     if isinstance(operator, BCOO):
         product = operator @ flat
