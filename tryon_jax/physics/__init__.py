@@ -1,0 +1,1 @@
+"""Cloth simulation: fabrics, energies as pure functions, contact and friction, implicit solver, dressing, sweeps."""

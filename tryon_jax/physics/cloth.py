@@ -1,0 +1,159 @@
+"""The rest state of a cloth: what the energies need to know of its mesh, once per mesh, independent of fabric.
+
+Built on the host from a welded triangle mesh with UV rest coordinates (metres). Arrays are padded to a size bucket so
+that another mesh of the bucket runs without compiling anything.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from tryon_jax.checks import check_finite
+from tryon_jax.mesh.topology import hinges as find_hinges
+from tryon_jax.types import ArrayLike, pytree
+
+BUCKET = 512
+"""Vertex counts are padded to a multiple of this."""
+MIN_SLOTS = 12
+"""Blocks per row of the system matrix: a vertex and its neighbours, 7 in a regular mesh, up to 12 in irregular ones."""
+HINGE_PAIRS = tuple((i, j) for i in range(4) for j in range(4) if {i, j} != {2, 3})
+"""Pairs of a hinge's vertices that have a block: all but the two opposite ones, which share no edge (see `bending`)."""
+
+
+@pytree
+class Cloth:
+    """Rest state and sparsity of a cloth of V vertices (padding included), F faces and H hinges."""
+
+    faces: Int[ArrayLike, "F 3"]
+    shape_gradients: Float[ArrayLike, "F 3 2"]
+    """Derivative of each corner's hat function with respect to (u, v), 1/m; zero for padding."""
+    face_areas: Float[ArrayLike, " F"]
+    """Rest areas, m²; zero for padding."""
+    hinges: Int[ArrayLike, "H 4"]
+    """Edge (a, b) and the vertices opposite to it in its two faces."""
+    hinge_shape: Float[ArrayLike, " H"]
+    """l² / (4 (A0 + A1)) with rest edge length and rest areas; zero for padding."""
+    hinge_curvature: Float[ArrayLike, " H"]
+    """l / (2 (A0 + A1)), 1/m: the measure α of the bending tables is this times the dihedral angle."""
+    hinge_grain: Float[ArrayLike, "H 2"]
+    """Angle of the hinge edge from the warp in its two faces, radians in [0, π/2]."""
+    vertex_areas: Float[ArrayLike, " V"]
+    """A third of the rest area of the adjacent faces, m²; zero for padding."""
+    active: Float[ArrayLike, " V"]
+    """1 for vertices of the mesh, 0 for padding."""
+    neighbours: Int[ArrayLike, "V K"]
+    """Column of each block of the system matrix's rows; slot 0 is the diagonal."""
+    face_slots: Int[ArrayLike, "F 9"]
+    """Flat slot (row · K + slot) of each face's 3 x 3 blocks."""
+    hinge_slots: Int[ArrayLike, "H 14"]
+    """Flat slot of each hinge's blocks, in the order of `HINGE_PAIRS`."""
+
+
+def build_cloth(
+    faces: Int[np.ndarray, "F 3"],
+    uv: Float[np.ndarray, "U 2"],
+    faces_uv: Int[np.ndarray, "F 3"],
+    num_vertices: int,
+    bucket: int = BUCKET,
+    dtype: type = np.float32,
+) -> Cloth:
+    """Rest state from a welded mesh and its flat panels.
+
+    Args:
+        faces: triangles over the welded vertices.
+        uv: panel coordinates, metres; both sides of a seam have their own.
+        faces_uv: index into `uv` for each corner of each face.
+        num_vertices: number of welded vertices V.
+        bucket: V is padded to a multiple of this, F and H in proportion.
+        dtype: floating type of the result.
+
+    Raises:
+        ValueError: NaN in `uv`, or a face with (nearly) no rest area.
+    """
+    corners = check_finite("uv", np.asarray(uv, float))[faces_uv]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
+    areas = 0.5 * np.abs(np.linalg.det(edges))
+    flat = np.flatnonzero(areas < 1e-4 * (edges**2).sum((1, 2)))
+    if len(flat):
+        raise ValueError(
+            f"face {flat[0]} has rest area {areas[flat[0]]:.3g} m²: inverted or degenerate ({len(flat)} such)"
+        )
+    inverse = np.linalg.inv(edges)
+    gradients = np.stack([-(inverse[:, 0] + inverse[:, 1]), inverse[:, 0], inverse[:, 1]], axis=1)
+
+    hinges, pairs = find_hinges(faces, num_vertices)
+    lengths, grains = _hinge_rest(faces, corners, hinges, pairs)
+    hinge_area = areas[pairs].sum(axis=1)
+
+    padded_v = -(-num_vertices // bucket) * bucket
+    padded_f, padded_h = 2 * padded_v, 3 * padded_v
+    neighbours, face_slots, hinge_slots = _sparsity(np.asarray(faces), hinges, padded_v)
+
+    def pad(array: np.ndarray, size: int, kind: type) -> jnp.ndarray:
+        if len(array) > size:
+            raise ValueError(f"mesh with {len(array)} entries does not fit its bucket of {size}")
+        filler = np.broadcast_to(array[:1] * 0, (size - len(array), *array.shape[1:]))
+        return jnp.asarray(np.concatenate([array, filler]).astype(kind))
+
+    def pad_index(array: np.ndarray, size: int) -> jnp.ndarray:
+        filler = np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))
+        return jnp.asarray(np.concatenate([array, filler]).astype(np.int32))
+
+    vertex_areas = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), num_vertices)
+    return Cloth(
+        faces=pad_index(faces, padded_f),
+        shape_gradients=pad(gradients, padded_f, dtype),
+        face_areas=pad(areas, padded_f, dtype),
+        hinges=pad_index(hinges, padded_h),
+        hinge_shape=pad(lengths**2 / (4 * hinge_area), padded_h, dtype),
+        hinge_curvature=pad(lengths / (2 * hinge_area), padded_h, dtype),
+        hinge_grain=pad(grains, padded_h, dtype),
+        vertex_areas=pad(vertex_areas, padded_v, dtype),
+        active=pad(np.ones(num_vertices), padded_v, dtype),
+        neighbours=jnp.asarray(neighbours),
+        face_slots=pad_index(face_slots, padded_f),
+        hinge_slots=pad_index(hinge_slots, padded_h),
+    )
+
+
+def _hinge_rest(
+    faces: np.ndarray, corners: np.ndarray, hinges: np.ndarray, pairs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rest edge length (mean of the two sides: they differ only where a seam is eased) and grain angle on each side."""
+
+    def rest(face: np.ndarray, vertex: np.ndarray) -> np.ndarray:
+        return corners[face, np.argmax(faces[face] == vertex[:, None], axis=1)]
+
+    vectors = [rest(pairs[:, side], hinges[:, 1]) - rest(pairs[:, side], hinges[:, 0]) for side in (0, 1)]
+    lengths = 0.5 * sum(np.linalg.norm(vector, axis=1) for vector in vectors)
+    grains = np.stack([np.arctan2(np.abs(vector[:, 1]), np.abs(vector[:, 0])) for vector in vectors], axis=1)
+    return np.asarray(lengths), grains
+
+
+def _sparsity(faces: np.ndarray, hinges: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Block rows of the system matrix: padded column lists with the diagonal first, and where each element adds."""
+    corner_pairs = np.array([(i, j) for i in range(3) for j in range(3)])
+    face_pairs = faces[:, corner_pairs].reshape(-1, 2)
+    hinge_pairs = hinges[:, np.array(HINGE_PAIRS)].reshape(-1, 2)
+    diagonal = np.arange(size)
+    rows, columns = np.concatenate([face_pairs, np.stack([diagonal, diagonal], axis=1)]).T
+    # A vertex's own column sorts first: key −1.
+    keys = np.unique(rows.astype(np.int64) * (size + 1) + np.where(rows == columns, -1, columns) + 1)
+    row_of = keys // (size + 1)
+    starts = np.searchsorted(row_of, diagonal)
+    degree = np.diff(np.append(starts, len(keys)))
+    slots = max(MIN_SLOTS, int(degree.max()))
+    slot = np.arange(len(keys)) - starts[row_of]
+    column = keys % (size + 1) - 1
+    neighbours = np.tile(diagonal[:, None], (1, slots))
+    neighbours[row_of, slot] = np.where(column < 0, row_of, column)
+
+    def flat(pairs: np.ndarray) -> np.ndarray:
+        wanted = pairs[:, 0].astype(np.int64) * (size + 1) + np.where(pairs[:, 0] == pairs[:, 1], -1, pairs[:, 1]) + 1
+        return pairs[:, 0] * slots + slot[np.searchsorted(keys, wanted)]
+
+    return (
+        neighbours.astype(np.int32),
+        flat(face_pairs).reshape(len(faces), 9),
+        flat(hinge_pairs).reshape(len(hinges), len(HINGE_PAIRS)),
+    )

@@ -1,0 +1,193 @@
+"""Putting a garment on a body and following the body's shape, each to equilibrium. Host side, around the jitted solver.
+
+Friction makes a drape depend on its path by millimetres, so every shape is reached along a straight ray of betas from
+the mean body outwards: the result is then a function of the shape, not of the order in which shapes were visited.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from tryon_jax.body import shape_body
+from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, nearest_vertices
+from tryon_jax.physics.body_contact import sample_points
+from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.proxy import CollisionBody, build_collision_body
+from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
+from tryon_jax.types import Body
+
+FAR_AWAY = 5.0
+"""Metres from the body where padding vertices rest."""
+_solve = jax.jit(solve)
+_closest_faces = jax.jit(lambda surface, x, cloth, vertex: closest_faces(surface, sample_points(x, cloth), vertex))
+_move_surface = jax.jit(move_surface)
+_sample_points = jax.jit(sample_points)
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """When a drape counts as at rest."""
+
+    tolerance: float = 1e-2
+    """Net force over weight plus contact load (norms over all vertices)."""
+    max_steps: int = 120
+    """Steps for one body shape at most."""
+    refresh: int = 30
+    """Steps after which closest body points are searched anew on the host."""
+
+
+class Obstacle:
+    """The collision surface of one body for any betas."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+        self.collision: CollisionBody = build_collision_body(body)
+        self._surface = build_surface(self._vertices(np.zeros(1)), self.collision.faces)
+        self._shape = jax.jit(lambda betas: shape_body(body, betas)[0])
+
+    def _vertices(self, betas: np.ndarray) -> jnp.ndarray:
+        skin = shape_body(self.body, jnp.asarray(betas, jnp.float32))[0]
+        return jnp.asarray(self.collision.vertices(np.asarray(skin)), jnp.float32)
+
+    def surface(self, betas: Float[np.ndarray, " b"]) -> Surface:
+        """Collision surface for `betas`."""
+        skin = np.asarray(self._shape(jnp.asarray(betas, jnp.float32)))
+        return _move_surface(self._surface, jnp.asarray(self.collision.vertices(skin), jnp.float32))
+
+    def skin(self, betas: Float[np.ndarray, " b"]) -> Float[np.ndarray, "V 3"]:
+        """The body's own vertices for `betas`, metres."""
+        return np.asarray(self._shape(jnp.asarray(betas, jnp.float32)))
+
+
+@dataclass(frozen=True, eq=False)
+class Drape:
+    """A garment at rest (or as near as the solver got) on one body shape."""
+
+    state: ClothState
+    betas: Float[np.ndarray, " b"]
+    surface: Surface
+    report: StepReport
+    num_vertices: int
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "V 3"]:
+        """Positions without padding, metres."""
+        return np.asarray(self.state.x)[: self.num_vertices]
+
+    def converged(self, equilibrium: Equilibrium) -> bool:
+        """True when the residual is within the tolerance."""
+        return float(self.report.residual) <= equilibrium.tolerance
+
+
+def dress(
+    start: Float[np.ndarray, "V 3"],
+    cloth: Cloth,
+    fabric: Fabric,
+    obstacle: Obstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+    betas: Sequence[float] = (0.0, 0.0),
+    max_steps: int = 400,
+) -> Drape:
+    """Drape a sewn garment from flat panels around the body, on one body shape.
+
+    The panels start partly inside the body: signed contact pushes them out while seams close, first without gravity,
+    then with it.
+
+    Args:
+        start: positions of the welded vertices, metres (`tryon_jax.garment.placement`).
+        max_steps: steps in all.
+
+    Raises:
+        ValueError: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
+    """
+    count, padded = len(start), cloth.vertex_areas.shape[0]
+    x = np.full((padded, 3), FAR_AWAY, np.float32)
+    x[:count] = start
+    shape = np.asarray(betas, float)
+    surface = obstacle.surface(shape)
+    x = jnp.asarray(x)
+    state = ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), _faces(surface, x, cloth))
+    weightless = replace(settings, gravity=0.0, retention=0.0)
+    drape = _settle(Drape(state, shape, surface, _no_report(), count), cloth, fabric, weightless, 1e-3, 20, 10, None)
+    still = replace(drape.state, velocity=jnp.zeros_like(x), slip=jnp.zeros_like(x))
+    drape = replace(drape, state=still)
+    drape = _settle(drape, cloth, fabric, settings, equilibrium.tolerance, max_steps, equilibrium.refresh, None)
+    if not np.isfinite(drape.vertices).all():
+        raise ValueError(f"the drape diverged: fabric {fabric.name!r}, {count} vertices, betas {list(betas)}")
+    return drape
+
+
+def follow(
+    drape: Drape,
+    betas: Float[np.ndarray, " b"],
+    cloth: Cloth,
+    fabric: Fabric,
+    obstacle: Obstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+) -> Drape:
+    """Carry a drape to another body shape nearby and let it come to rest."""
+    surface = obstacle.surface(np.asarray(betas, float))
+    motion = surface.vertices - drape.surface.vertices
+    moved = replace(drape, betas=np.asarray(betas, float), surface=surface, report=_no_report())
+    return _settle(
+        moved, cloth, fabric, settings, equilibrium.tolerance, equilibrium.max_steps, equilibrium.refresh, motion
+    )
+
+
+def sweep(
+    drape: Drape,
+    ray: Float[np.ndarray, "N b"],
+    cloth: Cloth,
+    fabric: Fabric,
+    obstacle: Obstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+) -> Iterator[Drape]:
+    """Drapes along a ray of betas, in its order, each from the one before."""
+    for betas in ray:
+        drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium)
+        yield drape
+
+
+def _faces(surface: Surface, x: jnp.ndarray, cloth: Cloth) -> jnp.ndarray:
+    vertex = nearest_vertices(surface, np.asarray(_sample_points(x, cloth)))
+    return _closest_faces(surface, x, cloth, vertex)
+
+
+def _no_report() -> StepReport:
+    zero = jnp.zeros((), jnp.int32)
+    return StepReport(jnp.asarray(jnp.inf), jnp.zeros(()), jnp.zeros(()), zero, zero)
+
+
+def _settle(
+    drape: Drape,
+    cloth: Cloth,
+    fabric: Fabric,
+    settings: SolverSettings,
+    tolerance: float,
+    max_steps: int,
+    refresh: int,
+    motion: jnp.ndarray | None,
+) -> Drape:
+    """Solve in pieces of `refresh` steps, searching closest points anew between them."""
+    state, report = drape.state, drape.report
+    free = jnp.zeros_like(cloth.vertex_areas)
+    still = jnp.zeros_like(drape.surface.vertices)
+    motion = still if motion is None else motion
+    steps = iterations = 0
+    while steps < max_steps and (steps == 0 or float(report.residual) > tolerance):
+        state = replace(state, face=_faces(drape.surface, state.x, cloth))
+        piece = jnp.asarray(min(refresh, max_steps - steps), jnp.int32)
+        goal = jnp.asarray(tolerance, state.x.dtype)
+        state, report = _solve(state, cloth, fabric, drape.surface, settings, motion, free, goal, piece)
+        motion = still
+        steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
+    total = replace(report, steps=jnp.asarray(steps), iterations=jnp.asarray(iterations))
+    return replace(drape, state=state, report=total)

@@ -1,0 +1,198 @@
+"""Implicit time stepping of cloth on a body, and its quasi-static end: equilibrium.
+
+Each step is one Newton iteration of backward Euler with a positive definite tangent (Baraff and Witkin 1998 in
+spirit). With `retention` 0 a step forgets its velocity and the iteration is a regularised Newton method for
+equilibrium; with 1 it is dynamics.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from tryon_jax.contact import Surface
+from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stiffness
+from tryon_jax.physics.body_contact import (
+    ContactLaw,
+    body_contact,
+    friction,
+    normal_gradient,
+    normal_hessian,
+)
+from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.linear import conjugate_gradients
+from tryon_jax.physics.stretch import deformation_gradients, face_gradient, face_hessian, green_strain, stress
+from tryon_jax.types import pytree
+
+GRAVITY = 9.81
+"""m/s², along −y."""
+
+
+@pytree
+class SolverSettings:
+    """Numbers that steer the solver; changing them compiles nothing."""
+
+    time_step: float = 1 / 30
+    """Seconds."""
+    retention: float = 0.9
+    """Share of the velocity that a step keeps: 1 is dynamics, 0 quasi-static."""
+    gravity: float = GRAVITY
+    """m/s²."""
+    max_move: float = 8e-3
+    """Metres that a vertex may move in one step."""
+    contact_margin: float = 5e-4
+    """Metres deeper at which the contact stiffness is read."""
+    linear_tolerance: float = 0.1
+    """Relative residual of the linear solve."""
+    linear_iterations: int = 300
+    law: ContactLaw = ContactLaw()
+
+
+@pytree
+class ClothState:
+    """Everything that a step changes; store all of it to continue a drape (friction remembers its slip)."""
+
+    x: Float[Array, "V 3"]
+    """Positions, metres."""
+    velocity: Float[Array, "V 3"]
+    slip: Float[Array, "V 3"]
+    """Elastic slip of friction, metres."""
+    face: Int[Array, " S"]
+    """Closest body face of each contact sample."""
+
+
+@pytree
+class StepReport:
+    """How a step or a solve ended."""
+
+    residual: Float[Array, ""]
+    """Norm of the net force on all vertices over the norm of their weights plus contact loads."""
+    move: Float[Array, ""]
+    """Root mean square motion of the last step, metres."""
+    depth: Float[Array, ""]
+    """Deepest contact sample below the skin, metres (negative: all outside)."""
+    steps: Int[Array, ""]
+    iterations: Int[Array, ""]
+    """Iterations of the linear solver, all steps together."""
+
+
+def internal_forces(
+    x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric
+) -> tuple[Float[Array, "V 3"], Float[Array, "F 3 3 3 3"], Float[Array, "H 14 3 3"]]:
+    """Gradient of stretch and bending (newtons) and their element stiffness blocks (N/m)."""
+    gradients = deformation_gradients(x, cloth)
+    strain = green_strain(gradients)
+    s = stress(strain, fabric)
+    theta, slope = dihedral_angles(x, cloth)
+    weight = hinge_stiffness(theta, cloth, fabric) * cloth.hinge_shape
+    gradient = jnp.zeros_like(x).at[cloth.faces].add(face_gradient(gradients, s, cloth))
+    gradient = gradient.at[cloth.hinges].add((weight * theta)[:, None, None] * slope)
+    return gradient, face_hessian(gradients, strain, s, cloth, fabric), hinge_hessian(weight, slope)
+
+
+def step(
+    state: ClothState,
+    cloth: Cloth,
+    fabric: Fabric,
+    surface: Surface,
+    settings: SolverSettings,
+    surface_motion: Float[Array, "W 3"],
+    pinned: Float[Array, " V"],
+) -> tuple[ClothState, StepReport]:
+    """One implicit step.
+
+    Args:
+        surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
+        pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
+    """
+    dtype = state.x.dtype
+    h = jnp.asarray(settings.time_step, dtype)
+    count, slots = cloth.neighbours.shape
+    mass = cloth.vertex_areas * jnp.asarray(fabric.density, dtype)
+
+    gradient, face_blocks, hinge_blocks = internal_forces(state.x, cloth, fabric)
+    contact = body_contact(state.x, state.face, cloth, fabric, surface, settings.law, settings.contact_margin)
+    slip, grip, tangent = friction(state.slip, contact, cloth, fabric, settings.law)
+    at_vertices, at_faces = normal_hessian(contact, cloth)
+
+    weight = jnp.zeros_like(state.x).at[:, 1].set(mass * settings.gravity)
+    gradient = gradient + weight + normal_gradient(contact, cloth)
+    gradient = gradient + (settings.law.tangential * cloth.vertex_areas)[:, None] * slip
+
+    inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0) + pinned
+    diagonal = at_vertices + grip[:, None, None] * tangent
+    diagonal = diagonal + inertia[:, None, None] * jnp.eye(3, dtype=dtype)[None]
+    face_blocks = face_blocks + at_faces[:, None, None]
+    blocks = jnp.zeros((count * slots, 9), dtype)
+    blocks = blocks.at[cloth.face_slots.reshape(-1)].add(face_blocks.reshape(-1, 9))
+    blocks = blocks.at[cloth.hinge_slots.reshape(-1)].add(hinge_blocks.reshape(-1, 9))
+    blocks = blocks.reshape(count, slots, 3, 3).at[:, 0].add(diagonal)
+
+    corners = surface.faces[contact.point.face[:count]]
+    motion = jnp.einsum("vk,vkc->vc", contact.point.barycentric[:count], surface_motion[corners])
+    drag = grip[:, None] * (tangent * motion[:, None, :]).sum(-1)
+    right = (mass / h * settings.retention)[:, None] * state.velocity - gradient + drag
+    move, iterations = conjugate_gradients(
+        blocks,
+        cloth.neighbours,
+        right * cloth.active[:, None],
+        jnp.asarray(settings.linear_tolerance, dtype),
+        jnp.asarray(settings.linear_iterations, jnp.int32),
+    )
+    length = jnp.sqrt((move * move).sum(-1) + 1e-20)
+    move = move * jnp.minimum(1.0, settings.max_move / length)[:, None]
+    dragged = (tangent * (move - motion)[:, None, :]).sum(-1)
+    new = ClothState(
+        x=state.x + move,
+        velocity=move / h,
+        slip=jnp.where((contact.load > 0)[:, None], slip + dragged, 0.0),
+        face=contact.point.face,
+    )
+    free = (cloth.active * (pinned == 0))[:, None]
+    scale = jnp.linalg.norm(mass * GRAVITY * cloth.active) + jnp.linalg.norm(contact.load)
+    shape_weight = jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
+    report = StepReport(
+        residual=jnp.linalg.norm(gradient * free) / scale,
+        move=jnp.sqrt((move * move * cloth.active[:, None]).sum() / cloth.active.sum()),
+        depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.distance, -1.0)),
+        steps=jnp.ones((), jnp.int32),
+        iterations=iterations,
+    )
+    return new, report
+
+
+def solve(
+    state: ClothState,
+    cloth: Cloth,
+    fabric: Fabric,
+    surface: Surface,
+    settings: SolverSettings,
+    surface_motion: Float[Array, "W 3"],
+    pinned: Float[Array, " V"],
+    tolerance: float | Float[Array, ""],
+    max_steps: int | Int[Array, ""],
+) -> tuple[ClothState, StepReport]:
+    """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
+
+    `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
+    """
+    first = step(state, cloth, fabric, surface, settings, surface_motion, pinned)
+    still = jnp.zeros_like(surface_motion)
+
+    def running(carry: tuple[ClothState, StepReport]) -> Bool[Array, ""]:
+        _, report = carry
+        return (report.residual > tolerance) & (report.steps < max_steps)
+
+    def advance(carry: tuple[ClothState, StepReport]) -> tuple[ClothState, StepReport]:
+        state, before = carry
+        state, report = step(state, cloth, fabric, surface, settings, still, pinned)
+        total = StepReport(
+            report.residual,
+            report.move,
+            report.depth,
+            before.steps + report.steps,
+            before.iterations + report.iterations,
+        )
+        return state, total
+
+    return jax.lax.while_loop(running, advance, first)

@@ -1,0 +1,169 @@
+"""In-plane elasticity: constant-strain triangles with a stiffness that depends on strain (Narain et al. 2012).
+
+The measured stiffness k(G) is not the derivative of an energy. Forces follow the secant stress S = k(G) : G with k held
+fixed, as in the model that the fabrics were fitted with.
+"""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.fabrics import GRID, GRID_LOW, Fabric
+
+FLOOR = 2.0
+"""N/m. Smallest axial and shear stiffness that the tangent assumes: clipped table entries would make it singular."""
+MAX_STIFFENING = 20.0
+"""Cap on how much stiffer than the secant the tangent may be: it is unbounded where principal strains coincide."""
+
+
+def deformation_gradients(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, "F 3 2"]:
+    """Derivative of position with respect to (u, v) on each face, from edge vectors (exact under translation)."""
+    corners = x[cloth.faces]
+    edges = corners[:, 1:] - corners[:, :1]
+    return jnp.einsum("fni,fnk->fik", edges, cloth.shape_gradients[:, 1:])
+
+
+def green_strain(gradients: Float[Array, "F 3 2"]) -> Float[Array, "F 3"]:
+    """(G00, G11, 2 G01) of the Green strain (FᵀF − I)/2."""
+    u, v = gradients[..., 0], gradients[..., 1]
+    return jnp.stack([0.5 * ((u * u).sum(-1) - 1), 0.5 * ((v * v).sum(-1) - 1), (u * v).sum(-1)], axis=-1)
+
+
+def stiffness(strain: Float[Array, "F 3"], fabric: Fabric) -> Float[Array, "F 4"]:
+    """k(G), N/m (warp, coupling, weft, shear): trilinear in the fabric's table, clamped at its ends."""
+    return stiffness_and_slope(strain, fabric)[0]
+
+
+def stiffness_and_slope(
+    strain: Float[Array, "F 3"], fabric: Fabric
+) -> tuple[Float[Array, "F 4"], Float[Array, "F 4 3"]]:
+    """k(G) and its derivative with respect to (G00, G11, 2 G01) inside the table's cell."""
+    # The table is over |G01|, half of the third component.
+    shear_sign = jnp.where(strain[:, 2] < 0, -0.5, 0.5)
+    one = jnp.ones_like(shear_sign)
+    sign = jnp.stack([one, one, shear_sign], axis=-1)
+    offset = jnp.array([GRID_LOW, GRID_LOW, 0.0], strain.dtype)[None, :]
+    scaled = jnp.clip((strain * sign - offset) * GRID, 0.0, GRID - 1 - 1e-5)
+    low = scaled.astype(jnp.int32)
+    high = scaled - low
+    table = jnp.asarray(fabric.stretch_table, strain.dtype).reshape(-1, 4)
+    base = (low[:, 0] * GRID + low[:, 1]) * GRID + low[:, 2]
+    value = jnp.zeros((len(strain), 4), strain.dtype)
+    slope = [jnp.zeros_like(value) for _ in range(3)]
+    for corner in itertools.product((0, 1), repeat=3):
+        weights = [high[:, a] if c else 1 - high[:, a] for a, c in enumerate(corner)]
+        entry = table[base + ((corner[0] * GRID + corner[1]) * GRID + corner[2])]
+        value = value + (weights[0] * weights[1] * weights[2])[:, None] * entry
+        for axis in range(3):
+            others = [w for a, w in enumerate(weights) if a != axis]
+            side = 1.0 if corner[axis] else -1.0
+            slope[axis] = slope[axis] + (side * others[0] * others[1])[:, None] * entry
+    return value, jnp.stack(slope, axis=-1) * (GRID * sign)[:, None, :]
+
+
+def _secant_stress(strain: Float[Array, "F 3"], k: Float[Array, "F 4"]) -> Float[Array, "F 3"]:
+    return jnp.stack(
+        [
+            k[:, 0] * strain[:, 0] + k[:, 1] * strain[:, 1],
+            k[:, 1] * strain[:, 0] + k[:, 2] * strain[:, 1],
+            0.5 * k[:, 3] * strain[:, 2],
+        ],
+        axis=-1,
+    )
+
+
+def stress(strain: Float[Array, "F 3"], fabric: Fabric) -> Float[Array, "F 3"]:
+    """Second Piola-Kirchhoff stress (S00, S11, S01), N/m."""
+    return _secant_stress(strain, stiffness(strain, fabric))
+
+
+def stretch_energy(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, ""]:
+    """Stored energy, joules, whose negative gradient is `stretch_force`.
+
+    The stiffness is a constant to differentiation, so that the gradient is the secant force of the measured model.
+    """
+    strain = green_strain(deformation_gradients(x, cloth))
+    k = jax.lax.stop_gradient(stiffness(strain, fabric))
+    return 0.5 * (cloth.face_areas * (strain * _secant_stress(strain, k)).sum(-1)).sum()
+
+
+def stretch_force(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, "V 3"]:
+    """Force on each vertex, newtons: −A F S B per face."""
+    gradients = deformation_gradients(x, cloth)
+    s = stress(green_strain(gradients), fabric)
+    return jnp.zeros_like(x).at[cloth.faces].add(-face_gradient(gradients, s, cloth))
+
+
+def face_gradient(gradients: Float[Array, "F 3 2"], s: Float[Array, "F 3"], cloth: Cloth) -> Float[Array, "F 3 3"]:
+    """Gradient of the energy at the corners of each face, newtons."""
+    u, v = gradients[..., 0], gradients[..., 1]
+    first = u * s[:, None, 0] + v * s[:, None, 2]
+    second = u * s[:, None, 2] + v * s[:, None, 1]
+    b = cloth.shape_gradients * cloth.face_areas[:, None, None]
+    return b[:, :, 0, None] * first[:, None, :] + b[:, :, 1, None] * second[:, None, :]
+
+
+def face_hessian(
+    gradients: Float[Array, "F 3 2"], strain: Float[Array, "F 3"], s: Float[Array, "F 3"], cloth: Cloth, fabric: Fabric
+) -> Float[Array, "F 3 3 3 3"]:
+    """Positive semi-definite tangent blocks [corner, corner, xyz, xyz] of each face.
+
+    The true tangent dS/dG is neither symmetric nor definite; freezing k instead underestimates it and lets the solver
+    cycle for ever. Its symmetric part, scaled by the secant's diagonal, is bounded from above by the diagonal of its
+    absolute row sums (Gershgorin), which converges. The geometric part keeps the tensile eigenvalues of the stress.
+    """
+    k, slope = stiffness_and_slope(strain, fabric)
+    diagonal = jnp.maximum(jnp.stack([k[:, 0], k[:, 2], 0.5 * k[:, 3]], axis=-1), FLOOR)
+    g0, g1, g2 = strain[:, 0, None], strain[:, 1, None], strain[:, 2, None]
+    zero = jnp.zeros_like(k[:, 0])
+    tangent = jnp.stack(
+        [
+            jnp.stack([k[:, 0], k[:, 1], zero], axis=-1) + slope[:, 0] * g0 + slope[:, 1] * g1,
+            jnp.stack([k[:, 1], k[:, 2], zero], axis=-1) + slope[:, 1] * g0 + slope[:, 2] * g1,
+            jnp.stack([zero, zero, 0.5 * k[:, 3]], axis=-1) + 0.5 * slope[:, 3] * g2,
+        ],
+        axis=1,
+    )
+    tangent = 0.5 * jnp.abs(tangent + tangent.transpose(0, 2, 1))
+    scale = jnp.sqrt(diagonal)
+    stiffening = (tangent / scale[:, :, None] / scale[:, None, :]).sum(-1)
+    majorant = diagonal * jnp.clip(stiffening, 1.0, MAX_STIFFENING)
+
+    b, u, v = cloth.shape_gradients, gradients[..., 0], gradients[..., 1]
+    rows = (
+        b[:, :, 0, None] * u[:, None, :],
+        b[:, :, 1, None] * v[:, None, :],
+        b[:, :, 0, None] * v[:, None, :] + b[:, :, 1, None] * u[:, None, :],
+    )
+    weights = majorant * cloth.face_areas[:, None]
+    material = sum(
+        weights[:, c, None, None, None, None] * row[:, :, None, :, None] * row[:, None, :, None, :]
+        for c, row in enumerate(rows)
+    )
+    tension = _positive_part(s) * cloth.face_areas[:, None]
+    geometric = (
+        tension[:, 0, None, None] * b[:, :, None, 0] * b[:, None, :, 0]
+        + tension[:, 1, None, None] * b[:, :, None, 1] * b[:, None, :, 1]
+        + tension[:, 2, None, None] * (b[:, :, None, 0] * b[:, None, :, 1] + b[:, :, None, 1] * b[:, None, :, 0])
+    )
+    return material + geometric[..., None, None] * jnp.eye(3, dtype=strain.dtype)[None, None, None]
+
+
+def _positive_part(s: Float[Array, "F 3"]) -> Float[Array, "F 3"]:
+    """The symmetric 2 x 2 matrix (S00, S11, S01) with its negative eigenvalue removed."""
+    mean, half = 0.5 * (s[:, 0] + s[:, 1]), 0.5 * (s[:, 0] - s[:, 1])
+    radius = jnp.sqrt(half * half + s[:, 2] * s[:, 2] + 1e-20)
+    high, low = jnp.maximum(mean + radius, 0.0), jnp.maximum(mean - radius, 0.0)
+    centre, slope = 0.5 * (high + low), 0.5 * (high - low) / radius
+    return jnp.stack([centre + slope * half, centre - slope * half, slope * s[:, 2]], axis=-1)
+
+
+def principal_stretches(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, "F 2"]:
+    """Largest and smallest stretch of each face (1 = at rest), for strain maps and limits."""
+    strain = green_strain(deformation_gradients(x, cloth))
+    mean, half = strain[:, 0] + strain[:, 1] + 1, strain[:, 0] - strain[:, 1]
+    radius = jnp.sqrt(half * half + strain[:, 2] * strain[:, 2] + 1e-20)
+    return jnp.sqrt(jnp.maximum(jnp.stack([mean + radius, mean - radius], axis=-1), 0.0))
