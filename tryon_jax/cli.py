@@ -77,7 +77,10 @@ def _overview(prog: str, commands: dict[str, str]) -> str:
 def _run(prog: str, module_name: str, arguments: list[str]) -> int:
     try:
         module = importlib.import_module(module_name)
-        config = tyro.cli(module.Config, prog=prog, description=module.__doc__, args=arguments)
+        # Options that may be left out are left out, and never given as "None".
+        markers = (tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)
+        about = " ".join((module.__doc__ or "").split("\n\n")[0].split())
+        config = tyro.cli(module.Config, prog=prog, description=about, args=arguments, config=markers)
         module.main(config)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else 1 if stop.code else 0
