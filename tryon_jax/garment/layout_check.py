@@ -56,6 +56,6 @@ def check_drawing(layout: Layout, values: Mapping[str, float]) -> None:
         lengths = [curves.length(drawn[edge]) for _, edge in (first, second)]
         if abs(lengths[0] - lengths[1]) > SEAM_TOLERANCE * max(lengths):
             raise ValueError(
-                f"{layout.source}: the two edges of seam {seam!r} do not match: {'.'.join(first)} is {lengths[0]:.4f} m "
-                f"long, {'.'.join(second)} is {lengths[1]:.4f} m ({at})"
+                f"{layout.source}: the two edges of seam {seam!r} do not match: {'.'.join(first)} is "
+                f"{lengths[0]:.4f} m long, {'.'.join(second)} is {lengths[1]:.4f} m ({at})"
             )

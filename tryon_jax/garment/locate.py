@@ -75,3 +75,24 @@ def on_edges(
         weights.append(np.stack([1.0 - part, part, np.zeros_like(part)], axis=1))
     order, first = np.unique(np.concatenate(samples), return_index=True)
     return order, np.concatenate(ends)[first], np.concatenate(weights)[first]
+
+
+def tie_panel(
+    points: Float[np.ndarray, "N 2"],
+    edges: Mapping[str, Int[np.ndarray, " E"]],
+    base_points: Float[np.ndarray, "M 2"],
+    base_faces: Int[np.ndarray, "F 3"],
+    base_edges: Mapping[str, Int[np.ndarray, " K"]],
+) -> tuple[Int[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+    """Barycentric map from one triangulation of a panel (`base`) to another: three points and weights for each point.
+
+    Samples on the outline go by their fraction of the edge, points inside by the triangle that they lie in.
+    """
+    corners = np.zeros((len(points), 3), np.int64)
+    weights = np.zeros((len(points), 3))
+    samples, corners_there, weights_there = on_edges(edges, base_edges)
+    inner = np.setdiff1d(np.arange(len(points)), samples, assume_unique=True)
+    face, weights[inner] = locate(points[inner], base_points, base_faces)
+    corners[inner] = base_faces[face]
+    corners[samples], weights[samples] = corners_there, weights_there
+    return corners, weights

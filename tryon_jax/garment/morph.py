@@ -17,6 +17,9 @@ from tryon_jax.mesh.quality import signed_areas
 STEPS = 6
 """Steps of the morph between two designs."""
 
+SPREAD_STEPS = 25
+"""Steps of the smoothing that follows."""
+
 
 def mean_value_laplacian(points: Float[np.ndarray, "N 2"], faces: Int[np.ndarray, "F 3"]) -> sp.csr_matrix:
     """Laplacian whose rows reproduce each inner point as an average of its neighbours with positive weights."""
@@ -61,7 +64,7 @@ def morph(
         inner = splu(laplacian[fixed:, fixed:].tocsc())
         shift[fixed:] = inner.solve(-(laplacian[fixed:, :fixed] @ shift[:fixed]))
         points = points + shift
-    return untangle(points, faces, fixed)
+    return spread(untangle(points, faces, fixed), faces, fixed)
 
 
 def untangle(
@@ -80,12 +83,65 @@ def untangle(
             break
         corners = faces[bad]
         lack = enough - area[bad]
-        move = np.zeros_like(points)
-        for k in range(3):
-            b, c = points[corners[:, (k + 1) % 3]], points[corners[:, (k + 2) % 3]]
-            gradient = 0.5 * np.stack([b[:, 1] - c[:, 1], c[:, 0] - b[:, 0]], axis=1)
-            scale = lack / np.maximum((gradient**2).sum(axis=1), 1e-12) / 2
-            np.add.at(move, corners[:, k], scale[:, None] * gradient)
+        gradient = _area_gradients(points[corners])
+        scale = lack[:, None] / np.maximum((gradient**2).sum(axis=2), 1e-12) / 2
+        move = _gather(corners, scale[:, :, None] * gradient, len(points))
         move[:num_outline] = 0.0
         points += 0.5 * move
     return points
+
+
+def spread(
+    points: Float[np.ndarray, "N 2"],
+    faces: Int[np.ndarray, "F 3"],
+    num_outline: int,
+    iterations: int = SPREAD_STEPS,
+) -> Float[np.ndarray, "N 2"]:
+    """Move inner points to make triangles rounder: Jacobi steps on the sum of squared mean-ratio qualities.
+
+    The quality (l₁² + l₂² + l₃²) / (4 √3 area) is 1 for an equilateral triangle and infinite for a flat one, so no
+    triangle turns over on the way. Points without inverted triangles are needed; others are returned as they came.
+    """
+    if signed_areas(points, faces).min() <= 0:
+        return points
+    inner = np.arange(len(points)) >= num_outline
+    energy, gradient, curvature = _mean_ratio(points, faces)
+    for _ in range(iterations):
+        move = np.where(inner[:, None], -gradient / curvature[:, None], 0.0)
+        for _ in range(8):
+            trial = points + move
+            if signed_areas(trial, faces).min() > 0:
+                new = _mean_ratio(trial, faces)
+                if new[0] < energy:
+                    points, (energy, gradient, curvature) = trial, new
+                    break
+            move /= 2
+        else:
+            break
+    return points
+
+
+def _mean_ratio(points: np.ndarray, faces: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Energy, its gradient, and a positive diagonal that bounds its curvature."""
+    corners = points[faces]
+    area = signed_areas(points, faces)[:, None]
+    following, preceding = np.roll(corners, -1, axis=1), np.roll(corners, 1, axis=1)
+    ratio = ((following - corners) ** 2).sum(axis=(1, 2))[:, None] / (4 * np.sqrt(3) * area)
+    by_area = _area_gradients(corners)
+    by_length = 2 * (2 * corners - following - preceding) / (4 * np.sqrt(3) * area)[:, :, None]
+    gradient = 2 * ratio[:, :, None] * (by_length - (ratio / area)[:, :, None] * by_area)
+    curvature = 2 * ratio * (1 / (np.sqrt(3) * area) + 2 * ratio / area**2 * (by_area**2).sum(axis=2))
+    bound = np.bincount(faces.ravel(), curvature.ravel(), len(points))
+    return float((ratio**2).sum()), _gather(faces, gradient, len(points)), bound
+
+
+def _area_gradients(corners: np.ndarray) -> np.ndarray:
+    """Derivative of each triangle's area by its corners [F, 3, 2]."""
+    away = np.roll(corners, -1, axis=1) - np.roll(corners, 1, axis=1)
+    return 0.5 * np.stack([away[:, :, 1], -away[:, :, 0]], axis=2)
+
+
+def _gather(faces: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sum over the corners at each point."""
+    at = faces.ravel()
+    return np.stack([np.bincount(at, values[:, :, k].ravel(), count) for k in range(2)], axis=1)

@@ -6,9 +6,9 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.garment.mesh import SewnMesh
 
-HEIGHT = 0.565
+HEIGHT = 0.54
 """Height of the pattern's origin above the pelvis, metres: the overarm seam lies about 1 cm above the arms of the
-embedded female body. For another body take the top of its shoulder at |x| = 0.185 m plus 0.05 m."""
+embedded female body. For another body take the top of its shoulder at |x| = 0.185 m plus 0.026 m."""
 
 DEPTH = 0.06
 """Distance of the panels from the body's plane away from the seams, metres."""

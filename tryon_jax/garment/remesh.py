@@ -1,6 +1,5 @@
 """φ: from a design to a garment mesh of even triangles, tied to the template (section "Mesh Topology Optimization")."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -8,10 +7,9 @@ import numpy as np
 from tryon_jax.checks import check_finite, check_range
 from tryon_jax.garment.curves import polygon_area
 from tryon_jax.garment.design import Design, DesignSpace
-from tryon_jax.garment.locate import locate, on_edges
 from tryon_jax.garment.mesh import GarmentMesh, SewnMesh
-from tryon_jax.garment.sewing import SampledOutline, edge_counts, sample_outline, sew
-from tryon_jax.garment.template import build_template, load_reference
+from tryon_jax.garment.sewing import SampledOutline, edge_counts, sample_outline
+from tryon_jax.garment.template import carry, sew_pattern, tie_patterns
 from tryon_jax.garment.triangulate import edge_length, interior_count, triangulate
 from tryon_jax.mesh.quality import distortion, measure_quality
 
@@ -31,7 +29,6 @@ def remesh(
     target_area: float = TARGET_AREA,
     max_distortion: float = MAX_DISTORTION,
     seed: int = 0,
-    template: SewnMesh | None = None,
 ) -> GarmentMesh:
     """Triangulate a design's panels anew, sew them, and tie every vertex to the template.
 
@@ -46,7 +43,6 @@ def remesh(
         target_area: T_area, square metres. At 1.78e-4 the training designs have 1.4 to 3.6 thousand vertices.
         max_distortion: T_dist, at least 1.6.
         seed: another seed gives another topology with the same number of triangles, hence the same mean area.
-        template: the design's template, where it has been built already.
 
     Returns:
         the garment mesh; its positions are `place_on_template(garment, T̄)`, linear in the template's positions.
@@ -68,8 +64,9 @@ def remesh(
         made = _within(outline, interior_count(outline.points, area), max_distortion, rng, f"{panel.name} of {design}")
         points.append(made[0])
         faces.append(made[1])
-    sewn = sew(layout, design, outlines, points, faces)
-    vertices, weights = _tie(space, sewn, outlines, template or build_template(space, design))
+    pattern = sew_pattern(layout, design, outlines, points, faces)
+    sewn = pattern.mesh
+    vertices, weights = tie_patterns(pattern, carry(space, design))
     return GarmentMesh(
         **{f.name: getattr(sewn, f.name) for f in fields(SewnMesh)},
         template_vertices=vertices,
@@ -91,30 +88,3 @@ def _within(
         if worst <= max_distortion:
             return points, faces
     raise ValueError(f"max_distortion = {max_distortion:g} was not reached for panel {what}: best {worst:.3f}")
-
-
-def _tie(
-    space: DesignSpace, sewn: SewnMesh, outlines: Sequence[SampledOutline], template: SewnMesh
-) -> tuple[np.ndarray, np.ndarray]:
-    """Barycentric map W from the template's vertices to the garment's.
-
-    Samples on outlines are tied by their fraction of the edge, so that both sides of a seam agree, points inside by
-    the triangle of the template that they lie in; weights are clamped where the template cuts a curve's corner.
-    """
-    reference = load_reference(space.layout, template.num_vertices)
-    drawn = space.draw(template.design)
-    vertices = np.zeros((sewn.num_vertices, 3), np.int64)
-    weights = np.zeros((sewn.num_vertices, 3))
-    for k, panel in enumerate(space.layout.panels):
-        coarse = np.flatnonzero(template.uv_panels == k)
-        fine = np.flatnonzero(sewn.uv_panels == k)
-        coarse_faces = template.faces_uv[template.panels == k] - coarse[0]
-        inner = fine[len(outlines[k].points) :]
-        face, weight = locate(sewn.uv[inner], template.uv[coarse], coarse_faces)
-        vertices[sewn.uv_vertex[inner]] = template.uv_vertex[coarse[coarse_faces[face]]]
-        weights[sewn.uv_vertex[inner]] = weight
-        knots: Mapping[str, np.ndarray] = sample_outline(panel, drawn, reference.counts).edges
-        samples, ends, weight = on_edges(outlines[k].edges, knots)
-        vertices[sewn.uv_vertex[fine[samples]]] = template.uv_vertex[coarse[ends]]
-        weights[sewn.uv_vertex[fine[samples]]] = weight
-    return vertices, weights

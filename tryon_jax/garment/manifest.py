@@ -1,0 +1,63 @@
+"""The committed list of training and test designs and topologies."""
+
+import tomllib
+from dataclasses import dataclass
+from importlib import resources
+
+from tryon_jax.checks import check_choice
+from tryon_jax.garment.design import Design, DesignSpace, load_design_space
+
+
+@dataclass(frozen=True, eq=False)
+class Manifest:
+    """Designs and topologies of the experiments with their splits (section "Dataset and Implementation Details")."""
+
+    space: DesignSpace
+    """The space that all designs belong to."""
+    training: tuple[Design, ...]
+    """The 19 designs of the training set."""
+    unseen: tuple[Design, ...]
+    """6 designs for tests only."""
+    training_seeds: tuple[int, ...]
+    """Seeds of `remesh` for the 2 topologies of each design that are trained on."""
+    test_seeds: tuple[int, ...]
+    """Seeds of 7 topologies for tests only."""
+    target_area: float
+    """T_area of every mesh, square metres."""
+
+    @property
+    def designs(self) -> tuple[Design, ...]:
+        """All designs, those for training first."""
+        return self.training + self.unseen
+
+    def design(self, label: str) -> Design:
+        """A design by its label, from either split."""
+        check_choice("design", label, [d.label for d in self.designs])
+        return next(d for d in self.designs if d.label == label)
+
+    def split(self, label: str, seed: int) -> str:
+        """ "training" where both the design and the topology are for training, otherwise "test".
+
+        Raises:
+            ValueError: for a design or a seed that is not in the manifest.
+        """
+        seeds = self.training_seeds + self.test_seeds
+        if seed not in seeds:
+            raise ValueError(f"seed {seed} is in no split; known: {', '.join(map(str, seeds))}")
+        known = self.design(label)
+        return "training" if known in self.training and seed in self.training_seeds else "test"
+
+
+def load_manifest() -> Manifest:
+    """Read the manifest that comes with the library (data/designs.toml)."""
+    file = resources.files("tryon_jax") / "data" / "designs.toml"
+    data = tomllib.loads(file.read_text(encoding="utf-8"))
+    space = load_design_space(data["layout"])
+    return Manifest(
+        space,
+        tuple(space.design(label, **values) for label, values in data["training"].items()),
+        tuple(space.design(label, **values) for label, values in data["unseen"].items()),
+        tuple(data["topologies"]["training"]),
+        tuple(data["topologies"]["test"]),
+        float(data["target_area"]),
+    )
