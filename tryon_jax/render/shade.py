@@ -11,8 +11,8 @@ from tryon_jax.render.light import Lamp
 from tryon_jax.render.raster import Fragments, rasterize
 from tryon_jax.render.scene import Scene
 
-_SKY = 0.52
-_KEY = 1.12
+_SKY = 0.50
+_KEY = 1.22
 _RIM = 0.5
 # Light wanders under skin before it leaves, red the farthest: shadows end softly and warm.
 _SKIN_WRAP = np.array([0.30, 0.16, 0.11])
@@ -43,7 +43,7 @@ def render_view(
     scene: Scene, camera: Camera, frame: Frame, background: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
     """Linear light of the scene before `background`."""
-    key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.62, 0.75, 0.75), radius=0.13, samples=6)
+    key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.80, 0.70, 0.50), radius=0.13, samples=6)
     rim = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, 0.85, 0.45, -0.55), radius=0.0, samples=1)
 
     screen = camera.project(scene.vertices)
