@@ -12,19 +12,28 @@ SEAM_TOLERANCE = 0.005
 """Largest difference between the lengths of the two edges of a seam, as a fraction."""
 
 
-def check_layout(layout: Layout, max_combinations: int = 243) -> None:
-    """Check the geometry of a layout at every combination of minimum, mean and maximum of its parameters.
+MAX_COMBINATIONS = 243
+"""Combinations of parameter values that are drawn at most, beside one parameter at a time."""
 
-    Where that would be more than `max_combinations`, parameters that are not active stay at their means.
+
+def check_layout(layout: Layout) -> None:
+    """Check the geometry of a layout over its range of parameters.
+
+    Drawn are all combinations of minimum, mean and maximum of the parameters that are active by default (of the first
+    few, should there be more than five), and each other parameter at its minimum and maximum by itself.
 
     Raises:
         ValueError: from `check_drawing`, with the parameter values at which the layout fails.
     """
-    parameters = layout.parameters
-    free = list(parameters) if 3 ** len(parameters) <= max_combinations else [p for p in parameters if p.active]
-    fixed = {p.name: p.mean for p in parameters}
-    for combination in itertools.product(*((p.mean, p.minimum, p.maximum) for p in free)):
-        check_drawing(layout, fixed | {p.name: v for p, v in zip(free, combination, strict=True)})
+    means = {p.name: p.mean for p in layout.parameters}
+    active = [p for p in layout.parameters if p.active]
+    combined = active[: int(np.log(MAX_COMBINATIONS) / np.log(3) + 1e-9)]
+    for values in itertools.product(*((p.mean, p.minimum, p.maximum) for p in combined)):
+        check_drawing(layout, means | {p.name: v for p, v in zip(combined, values, strict=True)})
+    for parameter in layout.parameters:
+        if parameter not in combined:
+            check_drawing(layout, means | {parameter.name: parameter.minimum})
+            check_drawing(layout, means | {parameter.name: parameter.maximum})
 
 
 def check_drawing(layout: Layout, values: Mapping[str, float]) -> None:
@@ -45,7 +54,8 @@ def check_drawing(layout: Layout, values: Mapping[str, float]) -> None:
                 raise ValueError(f"{where}: edge {edge!r} ends {gap:.4f} m from the start of {following!r} ({at})")
             if curves.length(drawn[edge]) < 0.01:
                 raise ValueError(f"{where}: edge {edge!r} is shorter than 1 cm ({at})")
-        outline = layout.panel_outline(panel, drawn)
+        lines = {e: curves.resample(drawn[e], max(2, int(curves.length(drawn[e]) / 0.01))) for e, _ in panel.outline}
+        outline = layout.panel_outline(panel, lines)
         crossing = curves.first_crossing(outline)
         if crossing is not None:
             u, v = outline[crossing[0]]

@@ -83,7 +83,7 @@ def _within(
     """A triangulation whose worst triangle is within the bound; up to four tries, each relaxed for longer."""
     worst = np.inf
     for attempt in range(4):
-        points, faces = triangulate(outline.points, count, rng, iterations=40 * (attempt + 1), refresh=4)
+        points, faces = triangulate(outline.points, count, rng, iterations=40 * (attempt + 1))
         worst = min(worst, float(distortion(points, faces).max()))
         if worst <= max_distortion:
             return points, faces

@@ -1,6 +1,6 @@
 """Triangulation of one panel: fixed samples on the outline, an exact number of points inside, evenly spread.
 
-The points inside start from a dart throw and settle under the repulsive bar forces of DistMesh (Persson and Strang,
+The points inside start at random and settle under the repulsive bar forces of DistMesh (Persson and Strang,
 "A simple mesh generator in MATLAB", SIAM Review 2004). The outline samples never move, so that the two sides of a
 seam keep matching, and the number of points inside fixes the number of triangles and with it the mean area.
 """
@@ -12,6 +12,9 @@ from scipy.spatial import Delaunay, cKDTree
 from tryon_jax.garment.curves import inside_polygon, polygon_area
 from tryon_jax.mesh.quality import angles, signed_areas
 from tryon_jax.mesh.topology import directed_edges, edge_keys
+
+JITTER = 0.7
+"""Radius of the disk in which the points of the starting grid are jittered, as a share of its pitch."""
 
 FLAT = 1e-3
 """Outline triangles flatter than this (area over longest edge squared) come from collinear samples."""
@@ -38,53 +41,57 @@ def delaunay_inside(points: Float[np.ndarray, "N 2"], num_outline: int) -> Int[n
     faces = Delaunay(points).simplices
     area = signed_areas(points, faces)
     faces = np.where((area < 0)[:, None], faces[:, [0, 2, 1]], faces)
+    return faces[_kept(points, faces, num_outline)]
+
+
+def _kept(points: np.ndarray, faces: np.ndarray, num_outline: int) -> Bool[np.ndarray, " F"]:
     doubtful = np.flatnonzero((faces < num_outline).all(axis=1))
     corners = points[faces[doubtful]]
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
     longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
-    inside = inside_polygon(points[:num_outline], corners.mean(axis=1))
     keep = np.ones(len(faces), bool)
-    keep[doubtful] = inside & (np.abs(area[doubtful]) > FLAT * longest)
-    return faces[keep]
+    keep[doubtful] = inside_polygon(points[:num_outline], corners.mean(axis=1)) & (area > FLAT * longest)
+    return keep
 
 
 def _scatter_inside(outline: np.ndarray, spacing: float, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Random points inside the outline, no two much closer than `spacing`, exactly `count` of them."""
-    faces = delaunay_inside(outline, len(outline))
-    area = signed_areas(outline, faces)
-    tries = 6 * count + 50
-    pick = rng.choice(len(faces), tries, p=area / area.sum())
-    u, v = rng.random((2, tries))
-    fold = u + v > 1
-    u, v = np.where(fold, 1 - u, u)[:, None], np.where(fold, 1 - v, v)[:, None]
-    a, b, c = (outline[faces[pick, k]] for k in range(3))
-    points = a + u * (b - a) + v * (c - a)
-    fine = np.concatenate([outline + (np.roll(outline, -1, axis=0) - outline) * t for t in (0.0, 0.25, 0.5, 0.75)])
-    points = points[cKDTree(fine).query(points)[0] > 0.55 * spacing]
-    points = points[_dart_throw(points, 0.72 * spacing)]
+    """Exactly `count` random points inside the outline, roughly `spacing` apart.
+
+    A triangular grid, turned, shifted and jittered by so much that no direction of the grid is left: an unjittered
+    one settles into a lattice with a grain, which is too easy a topology. It costs a fifth of a dart throw.
+    """
+    hull = Delaunay(outline)
+    inside = _kept(outline, hull.simplices, len(outline))
+    fine = cKDTree(
+        np.concatenate([outline + (np.roll(outline, -1, axis=0) - outline) * t for t in (0.0, 0.25, 0.5, 0.75)])
+    )
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    turn, shift = rng.random() * np.pi / 3, rng.random(2)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    pitch, points = spacing, outline[:0]
+    for _ in range(6):
+        reach = int(np.ceil(np.linalg.norm(high - low) / 2 / pitch)) + 2
+        column, row = np.meshgrid(np.arange(-reach, reach + 1), np.arange(-int(1.2 * reach), int(1.2 * reach) + 1))
+        grid = np.stack([(column + 0.5 * (row % 2)).ravel(), (row * np.sqrt(3) / 2).ravel()], axis=1)
+        points = (grid + shift) * pitch @ rotation + (low + high) / 2
+        points = points[((points > low - pitch) & (points < high + pitch)).all(axis=1)]
+        angle = 2 * np.pi * rng.random(len(points))
+        radius = JITTER * pitch * np.sqrt(rng.random(len(points)))
+        points = points + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        where = hull.find_simplex(points)
+        points = points[(where >= 0) & inside[where]]
+        points = points[np.isinf(fine.query(points, distance_upper_bound=0.55 * spacing)[0])]
+        if count <= len(points) <= 1.04 * count + 3:
+            break
+        pitch *= float(np.sqrt(max(len(points), 1) / (1.02 * count + 1)))
     if len(points) > count:
         crowd = cKDTree(np.concatenate([points, outline])).query(points, 2)[0][:, 1]
-        points = np.delete(
-            points, np.argsort(crowd + 0.15 * spacing * rng.random(len(points)))[: len(points) - count], 0
-        )
+        last = np.argsort(crowd + 0.1 * spacing * rng.random(len(points)))
+        points = np.delete(points, last[: len(points) - count], axis=0)
     while len(points) < count:
         points = _fill_gaps(outline, points, count - len(points), rng)
     return points
-
-
-def _dart_throw(points: np.ndarray, radius: float) -> Bool[np.ndarray, " N"]:
-    """Which points remain when each, in order, is dropped if it is closer than `radius` to one already kept."""
-    pairs = cKDTree(points).query_pairs(radius, output_type="ndarray")
-    pairs = np.sort(pairs, axis=1)
-    keep = np.ones(len(points), bool)
-    undecided = np.ones(len(points), bool)
-    while len(pairs):
-        # A point is kept once no earlier undecided point is near it; all that are near a kept one go.
-        undecided[:] = False
-        undecided[pairs[:, 1]] = True
-        settled = ~undecided[pairs[:, 0]]
-        keep[pairs[settled, 1]] = False
-        pairs = pairs[keep[pairs[:, 0]] & keep[pairs[:, 1]]]
-    return keep
 
 
 def _fill_gaps(outline: np.ndarray, points: np.ndarray, missing: int, rng: np.random.Generator) -> np.ndarray:
@@ -135,26 +142,26 @@ def relax(
     count = len(points)
     normals = _inward_normals(outline)
     tree = cKDTree(outline)
-    edges = np.zeros((0, 2), np.int64)
+    first = second = close = beside = np.zeros(0, np.int64)
     for step in range(iterations):
         if step % refresh == 0:
             keys = np.unique(edge_keys(directed_edges(delaunay_inside(points, fixed)), count))
-            edges = np.stack([keys // count, keys % count], axis=1)
-        bar = points[edges[:, 0]] - points[edges[:, 1]]
-        long = np.sqrt((bar * bar).sum(axis=1))
-        rest = 1.2 * np.sqrt((long * long).mean())
-        force = (np.maximum(rest - long, 0.0) / long)[:, None] * bar
-        move = np.stack(
-            [np.bincount(edges[:, 0], f, count) - np.bincount(edges[:, 1], f, count) for f in force.T], axis=1
-        )
-        points[fixed:] += 0.2 * move[fixed:]
-        near, at = tree.query(points[fixed:], distance_upper_bound=spacing)
-        close = np.flatnonzero(np.isfinite(near))
-        at = at[close]
-        depth = ((points[fixed + close] - outline[at]) * normals[at]).sum(axis=1)
+            first, second = keys // count, keys % count
+            near, at = tree.query(points[fixed:], distance_upper_bound=1.5 * spacing)
+            close = np.flatnonzero(np.isfinite(near))
+            close, beside = close + fixed, at[close]
+        bar = points[first] - points[second]
+        square = bar[:, 0] ** 2 + bar[:, 1] ** 2
+        long = np.sqrt(square)
+        rest = 1.2 * np.sqrt(square.mean())
+        force = (0.2 * np.maximum(rest - long, 0.0) / long)[:, None] * bar
+        for k in range(2):
+            move = np.bincount(first, force[:, k], count) - np.bincount(second, force[:, k], count)
+            points[fixed:, k] += move[fixed:]
+        depth = ((points[close] - outline[beside]) * normals[beside]).sum(axis=1)
         # Nothing may cross the outline: what comes too near goes back to a third of an edge inside.
         push = np.maximum(0.35 * spacing - depth, 0.0)
-        points[fixed + close] += push[:, None] * normals[at]
+        points[close] += push[:, None] * normals[beside]
     return points, delaunay_inside(points, fixed)
 
 
@@ -163,7 +170,7 @@ def triangulate(
     count: int,
     rng: np.random.Generator,
     iterations: int = 40,
-    refresh: int = 1,
+    refresh: int = 10,
 ) -> tuple[Float[np.ndarray, "N 2"], Int[np.ndarray, "F 3"]]:
     """Triangulate a simple polygon with exactly `count` points inside it.
 
