@@ -176,16 +176,19 @@ def solve(
 
     `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
     """
-    first = step(state, cloth, fabric, surface, settings, surface_motion, pinned)
-    still = jnp.zeros_like(surface_motion)
+    zero = jnp.zeros((), jnp.int32)
+    unknown = jnp.asarray(jnp.inf, state.x.dtype)
+    start = StepReport(unknown, unknown, unknown, zero, zero)
 
-    def running(carry: tuple[ClothState, StepReport]) -> Bool[Array, ""]:
-        _, report = carry
+    def running(carry: tuple[ClothState, StepReport, Float[Array, "W 3"]]) -> Bool[Array, ""]:
+        _, report, _ = carry
         return (report.residual > tolerance) & (report.steps < max_steps)
 
-    def advance(carry: tuple[ClothState, StepReport]) -> tuple[ClothState, StepReport]:
-        state, before = carry
-        state, report = step(state, cloth, fabric, surface, settings, still, pinned)
+    def advance(
+        carry: tuple[ClothState, StepReport, Float[Array, "W 3"]],
+    ) -> tuple[ClothState, StepReport, Float[Array, "W 3"]]:
+        state, before, motion = carry
+        state, report = step(state, cloth, fabric, surface, settings, motion, pinned)
         total = StepReport(
             report.residual,
             report.move,
@@ -193,6 +196,7 @@ def solve(
             before.steps + report.steps,
             before.iterations + report.iterations,
         )
-        return state, total
+        return state, total, jnp.zeros_like(motion)
 
-    return jax.lax.while_loop(running, advance, first)
+    state, report, _ = jax.lax.while_loop(running, advance, (state, start, surface_motion))
+    return state, report

@@ -1,0 +1,1 @@
+"""Learning the regressors: the protocol of shapes and splits, the simulated dataset, losses and training loops."""

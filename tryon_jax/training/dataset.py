@@ -1,0 +1,138 @@
+"""The simulated dataset on disk: what lies where, written whole or not at all, read with its splits enforced.
+
+    ROOT/config.json                           what was asked for; a folder belongs to one configuration
+    ROOT/meshes/<garment>.npz                  faces, uv, faces_uv, template map of one topology
+    ROOT/mean/<garment>_<fabric>.npz           drape on the mean body, with the state to continue from
+    ROOT/rays/<garment>_<fabric>_<ray>.npz     drapes along one ray: vertices [N, V, 3], betas, statistics
+    ROOT/templates/<number>.npz                drapes of a dense mesh, downsampled to the template: for R_mean
+
+<garment> is <design label>-<topology seed>. Every sample carries statistics; `is_good` decides by fixed rules which
+are used, and nothing is dropped silently.
+"""
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tryon_jax.atomic import atomic_path, write_text
+
+STATISTICS = ("residual", "steps", "depth", "inside", "self_intersections", "tension", "stretch")
+MAX_RESIDUAL = 0.02
+"""Net force over weight plus contact load."""
+MAX_DEPTH = 1e-3
+"""Metres that any vertex or face sample may lie inside the body (hands and feet aside)."""
+MAX_SELF_INTERSECTIONS = 1e-3
+"""Share of faces that pass through another."""
+MAX_TENSION = 300.0
+"""N/m, 95th percentile over faces: above it real cloth could not be pulled over the body."""
+
+
+@dataclass(frozen=True)
+class DatasetConfig:
+    """What a dataset folder holds; stored in it and compared when it is opened again."""
+
+    body: str = "female"
+    layout: str = "kimono"
+    num_betas: int = 2
+    fabrics: tuple[str, ...] = ("gray-interlock", "white-dots-on-blk")
+    target_area: float = 1.78e-4
+    """Mean triangle area, m²."""
+    dense_vertices: int = 17_246
+    """Vertices of the mesh whose drapes train R_mean."""
+    version: int = 1
+
+
+def default_root() -> Path:
+    """Folder for datasets: $TRYON_JAX_DATA, or `tryon_jax/dataset` in the user's cache folder."""
+    override = os.environ.get("TRYON_JAX_DATA")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    return Path(override) if override else cache / "tryon_jax" / "dataset"
+
+
+def open_dataset(root: Path, config: DatasetConfig) -> Path:
+    """Create a dataset folder, or check that an existing one was made with the same configuration.
+
+    Raises:
+        ValueError: the folder belongs to another configuration; the differing fields are named.
+    """
+    path = root / "config.json"
+    wanted = json.loads(json.dumps(asdict(config)))
+    if not path.exists():
+        write_text(path, json.dumps(wanted, indent=2) + "\n")
+    found = json.loads(path.read_text())
+    different = [f"{k} = {found.get(k)!r} (asked for {wanted.get(k)!r})" for k in wanted if found.get(k) != wanted[k]]
+    if different:
+        raise ValueError(f"dataset {str(root)!r} was made with {', '.join(different)}; choose another folder")
+    return root
+
+
+def read_config(root: Path) -> DatasetConfig:
+    """Configuration of an existing dataset.
+
+    Raises:
+        FileNotFoundError: there is no dataset in the folder.
+    """
+    path = root / "config.json"
+    if not path.exists():
+        raise FileNotFoundError(f"no dataset at {str(root)!r}: run `python -m experiments simulate` first")
+    table = json.loads(path.read_text())
+    return DatasetConfig(**{**table, "fabrics": tuple(table["fabrics"])})
+
+
+def mesh_path(root: Path, garment: str) -> Path:
+    """File of a garment's mesh."""
+    return root / "meshes" / f"{garment}.npz"
+
+
+def mean_path(root: Path, garment: str, fabric: str) -> Path:
+    """File of a garment's drape on the mean body."""
+    return root / "mean" / f"{garment}_{fabric}.npz"
+
+
+def ray_path(root: Path, garment: str, fabric: str, ray: int) -> Path:
+    """File of the drapes along one ray."""
+    return root / "rays" / f"{garment}_{fabric}_{ray:02d}.npz"
+
+
+def template_path(root: Path, number: int) -> Path:
+    """File of one template drape for R_mean."""
+    return root / "templates" / f"{number:04d}.npz"
+
+
+def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Write an npz file in one step."""
+    with atomic_path(path) as temporary:
+        np.savez(temporary, **arrays)
+
+
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read an npz file without unpickling anything.
+
+    Raises:
+        FileNotFoundError: it is missing.
+        ValueError: it is damaged.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return {key: file[key] for key in file.files}
+    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(f"{str(path)!r} is damaged ({error}); delete it and simulate again") from None
+
+
+def is_good(statistics: Mapping[str, Float[np.ndarray, " N"]]) -> Bool[np.ndarray, " N"]:
+    """Which samples are kept: at rest, outside the body, not through themselves, not under impossible tension."""
+    return (
+        (statistics["residual"] <= MAX_RESIDUAL)
+        & (statistics["depth"] <= MAX_DEPTH)
+        & (statistics["self_intersections"] <= MAX_SELF_INTERSECTIONS)
+        & (statistics["tension"] <= MAX_TENSION)
+    )
