@@ -7,7 +7,7 @@ it must be linear for `jvp`, `vjp` and `linearize` alike, and because `vmap` mus
 becomes more columns, a batch of garments becomes one larger operator.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -199,27 +199,29 @@ _product = Primitive("tryon_jax_sparse_product")
 _NUM_LISTS = 5
 
 
-def _gather_sum(columns: ArrayLike, weights: ArrayLike, features: ArrayLike, start: Array) -> Array:
-    """start + Σ_k weights[k] features[columns[k]], one neighbour slot at a time.
+def _gather_sum(columns: Any, weights: Any, features: Any) -> Array:
+    """Σ_k weights[k] features[columns[k]]: one loop over the result that reads every neighbour."""
+    total = jnp.zeros((columns.shape[1], features.shape[1]), features.dtype)
+    for column, weight in zip(columns, weights.astype(features.dtype), strict=True):
+        total = total + weight[:, None] * features.at[column].get(mode="promise_in_bounds")
+    return total
 
-    A scan keeps XLA from fusing the gathers into their neighbours, where each would be evaluated once per use.
+
+def _gather_sum_alone(columns: Any, weights: Any, features: Any) -> Array:
+    """`_gather_sum` behind a branch that is always taken.
+
+    On the CPU, XLA fuses the gathers with whatever produces or uses them and then evaluates that once per
+    neighbour. It does not fuse across a branch whose condition is data; optimisation barriers do not stop it.
     """
-
-    def add_slot(total: Array, slot: tuple[Array, Array]) -> tuple[Array, None]:
-        column, weight = slot
-        return total + weight[:, None] * features.at[column].get(mode="promise_in_bounds"), None
-
-    return jax.lax.scan(add_slot, start, (columns, weights.astype(features.dtype)))[0]
+    zeros = jnp.zeros((columns.shape[1], features.shape[1]), features.dtype)
+    return jax.lax.cond(columns[0, 0] >= 0, _gather_sum, lambda *_: zeros, columns, weights, features)
 
 
-def _execute(*operands: ArrayLike) -> Array:
+def _execute(*operands: Any, gather_sum: Callable[..., Array]) -> Array:
     columns, weights, tail_rows, tail_columns, tail_weights = operands[:_NUM_LISTS]
     features = operands[-1]
-    empty = partial(jnp.zeros, dtype=features.dtype)
-    width = features.shape[1]
-    product = _gather_sum(columns, weights, features, empty((columns.shape[1], width)))
-    tail = _gather_sum(tail_columns, tail_weights, features, empty((tail_rows.shape[0], width)))
-    return product.at[tail_rows].add(tail, mode="drop")
+    product = gather_sum(columns, weights, features)
+    return product.at[tail_rows].add(gather_sum(tail_columns, tail_weights, features), mode="drop")
 
 
 def _transpose(cotangent: Any, *operands: Any) -> list[Any]:
@@ -278,9 +280,11 @@ def _abstract(*operands: Any) -> jax.core.ShapedArray:
     return jax.core.ShapedArray((columns.shape[-1], features.shape[1]), features.dtype)
 
 
-_product.def_impl(jax.jit(_execute))
+_execute_on_cpu = partial(_execute, gather_sum=_gather_sum_alone)
+_product.def_impl(jax.jit(_product.bind))
 _product.def_abstract_eval(_abstract)
 ad.primitive_jvps[_product] = _jvp
 ad.primitive_transposes[_product] = _transpose
 batching.primitive_batchers[_product] = _batch
-mlir.register_lowering(_product, mlir.lower_fun(_execute, multiple_results=False))
+mlir.register_lowering(_product, mlir.lower_fun(partial(_execute, gather_sum=_gather_sum), multiple_results=False))
+mlir.register_lowering(_product, mlir.lower_fun(_execute_on_cpu, multiple_results=False), platform="cpu")

@@ -26,26 +26,35 @@ def cheb_conv(params: ChebConv, laplacian: SparseOperator, features: Float[Array
     """y = Σ_k T_k(L̃) x W_k + b for node features of N nodes and B samples (body shapes) of one garment.
 
     The polynomial is evaluated on the narrower side: on the inputs by the three-term recursion, or, where the
-    outputs are narrower, on the products x W_k by Clenshaw's recursion. Both are the same sum.
+    outputs are no wider, on the products x W_k by Clenshaw's recursion. Both are the same sum.
     """
     order, inputs, outputs = params.weight.shape
     weight = jnp.asarray(params.weight, features.dtype)
     bias = jnp.asarray(params.bias, features.dtype)
     nodes, samples, _ = features.shape
-    if outputs < inputs and order > 1:
-        projected = jnp.einsum("nbi,kio->knbo", features, weight)
-        high, higher = projected[-1], None
-        for k in range(order - 2, 0, -1):
-            product = 2.0 * apply_operator(laplacian, high) + projected[k]
-            high, higher = (product if higher is None else product - higher), high
-        result = projected[0] + apply_operator(laplacian, high)
-        result = result if higher is None else result - higher
-        return result + bias[None, None, :]
-    terms = [features]
-    if order > 1:
-        terms.append(apply_operator(laplacian, features))
-    for _ in range(2, order):
-        terms.append(2.0 * apply_operator(laplacian, terms[-1]) - terms[-2])
-    stacked = jnp.concatenate(terms, axis=-1).reshape(nodes * samples, order * inputs)
-    result = stacked @ weight.reshape(order * inputs, outputs)
-    return result.reshape(nodes, samples, outputs) + bias[None, None, :]
+    if outputs <= inputs:
+        flat = features.reshape(nodes * samples, inputs)
+        # One product per order: a joint one would have to be sliced, which copies.
+        projected = [(flat @ weight[k]).reshape(nodes, samples, outputs) for k in range(order)]
+        result = _clenshaw(laplacian, projected)
+    else:
+        terms = [features]
+        if order > 1:
+            terms.append(apply_operator(laplacian, features))
+        for _ in range(2, order):
+            terms.append(2.0 * apply_operator(laplacian, terms[-1]) - terms[-2])
+        stacked = jnp.concatenate(terms, axis=-1).reshape(nodes * samples, order * inputs)
+        result = (stacked @ weight.reshape(order * inputs, outputs)).reshape(nodes, samples, outputs)
+    return result + bias[None, None, :]
+
+
+def _clenshaw(laplacian: SparseOperator, coefficients: list[Float[Array, "N B o"]]) -> Float[Array, "N B o"]:
+    """Σ_k T_k(L̃) c_k with one product fewer than there are coefficients."""
+    if len(coefficients) == 1:
+        return coefficients[0]
+    higher, high = None, coefficients[-1]
+    for coefficient in coefficients[-2:0:-1]:
+        now = 2.0 * apply_operator(laplacian, high) + coefficient
+        higher, high = high, now if higher is None else now - higher
+    result = coefficients[0] + apply_operator(laplacian, high)
+    return result if higher is None else result - higher
