@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from tryon_jax.mesh.topology import directed_edges, edge_keys
@@ -88,22 +89,26 @@ def _homogeneous(vertices: np.ndarray) -> Float[np.ndarray, "n 10"]:
 
 
 class _Adjacency:
-    """Half-edges of the current mesh in both directions, sorted by their first vertex."""
+    """Half-edges of the current mesh in both directions, sorted by their first vertex, with their number of faces."""
 
     def __init__(self, faces: np.ndarray, n: int) -> None:
-        half = directed_edges(faces)
-        keys, first, counts = np.unique(edge_keys(half, n), return_index=True, return_counts=True)
-        low, high = keys // n, keys % n
-        start, end = np.concatenate([low, high]), np.concatenate([high, low])
-        order = np.argsort(start * n + end)
-        self.start, self.end = start[order], end[order]
-        self.num_faces = np.concatenate([counts, counts])[order]
-        self.first = np.searchsorted(self.start, np.arange(n + 1))
+        a, b, c = faces.T
+        index = (np.concatenate([a, b, c, b, c, a]), np.concatenate([b, c, a, a, b, c]))
+        matrix = sp.coo_array((np.ones(len(index[0]), np.int8), index), shape=(n, n)).tocsr()
+        self.first = matrix.indptr.astype(np.int64)
+        self.end = matrix.indices.astype(np.int64)
+        self.num_faces = matrix.data
         self.valence = np.diff(self.first)
+        self.start = np.repeat(np.arange(n), self.valence)
         self.border = np.zeros(n, bool)
-        self.border[half[first[counts == 1]]] = True
+        self.border[self.end[self.num_faces == 1]] = True
         self.frozen = np.zeros(n, bool)
-        self.frozen[half[first[counts > 2]]] = True
+        self.frozen[self.end[self.num_faces > 2]] = True
+        self.used = np.flatnonzero(self.valence)
+
+    def smallest(self, values: np.ndarray) -> np.ndarray:
+        """Minimum over the half-edges that start at each used vertex."""
+        return np.minimum.reduceat(values, self.first[self.used])
 
     def rings(self, vertices: np.ndarray) -> Int[np.ndarray, "c w"]:
         """Neighbours of each vertex, padded with −1."""
@@ -128,30 +133,39 @@ def _link_ok(
     return (common == num_faces) & (joined <= np.maximum(MAX_VALENCE, valence_keep)) & ~tetrahedron & ~lone
 
 
+def _cross(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Cross product of rows; `np.cross` spends most of its time on axes."""
+    result = np.empty_like(x)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        result[:, i] = x[:, j] * y[:, k] - x[:, k] * y[:, j]
+    return result
+
+
 def _shape_ok(vertices: np.ndarray, faces: np.ndarray, target: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Per vertex d: no triangle around it flips or becomes a sliver when d moves to `target[d]` (−1: not asked)."""
     bad = np.zeros(len(target), bool)
+    corners = vertices[faces]
+    normals = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     for corner in range(3):
-        drop = faces[:, corner]
-        second, third = faces[:, (corner + 1) % 3], faces[:, (corner + 2) % 3]
-        keep = target[drop]
-        asked = np.flatnonzero((keep >= 0) & (keep != second) & (keep != third))
-        drop, keep, second, third = drop[asked], vertices[keep[asked]], vertices[second[asked]], vertices[third[asked]]
-        before = np.cross(second - vertices[drop], third - vertices[drop])
-        after = np.cross(second - keep, third - keep)
+        second, third = (corner + 1) % 3, (corner + 2) % 3
+        keep = target[faces[:, corner]]
+        asked = np.flatnonzero((keep >= 0) & (keep != faces[:, second]) & (keep != faces[:, third]))
+        moved, before = vertices[keep[asked]], normals[asked]
+        to_second, to_third = corners[asked, second] - moved, corners[asked, third] - moved
+        after = _cross(to_second, to_third)
         size_before, size_after = np.einsum("fi,fi->f", before, before), np.einsum("fi,fi->f", after, after)
         turned = np.einsum("fi,fi->f", before, after) < _MIN_NORMAL_COSINE * np.sqrt(size_before * size_after)
-        longest = np.maximum(((second - keep) ** 2).sum(1), ((third - keep) ** 2).sum(1))
-        bad[drop[turned | (size_after < _MIN_SLIVER * longest**2)]] = True
+        longest = np.einsum("fi,fi->f", to_second, to_second)
+        longest = np.maximum(longest, np.einsum("fi,fi->f", to_third, to_third))
+        bad[faces[asked[turned | (size_after < _MIN_SLIVER * longest**2)], corner]] = True
     return ~bad
 
 
 def _spread(adjacency: _Adjacency, values: np.ndarray) -> np.ndarray:
     """Minimum of `values` over each closed neighbourhood."""
     result = values.copy()
-    if len(adjacency.end):
-        has = adjacency.valence > 0
-        result[has] = np.minimum(result[has], np.minimum.reduceat(values[adjacency.end], adjacency.first[:-1][has]))
+    used = adjacency.used
+    result[used] = np.minimum(result[used], adjacency.smallest(values[adjacency.end]))
     return result
 
 
@@ -197,18 +211,21 @@ def coarsen(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "F 3"], t
     while missing > 0 and len(faces):
         adjacency = _Adjacency(faces, n)
         drop, keep, num_faces = adjacency.start, adjacency.end, adjacency.num_faces
-        along_border = num_faces == 1
-        allowed = (num_faces <= 2) & ~adjacency.frozen[drop] & (along_border | ~adjacency.border[drop])
+        allowed = (num_faces <= 2) & ~adjacency.frozen[drop] & ((num_faces == 1) | ~adjacency.border[drop])
         if len(banned):
             allowed &= ~np.isin(drop * n + keep, banned)
-        drop, keep, num_faces = drop[allowed], keep[allowed], num_faces[allowed]
-        if not len(drop):
+        edge = points[drop] - points[keep]
+        regular = _LENGTH_WEIGHT * mean_area * np.einsum("hi,hi->h", edge, edge) * (count_in[drop] + count_in[keep])
+        own = np.einsum("nq,nq->n", quadric, position)
+        cost = np.einsum("hq,hq->h", quadric[drop], position[keep]) + own[keep] + regular
+        cost = np.where(allowed, cost, np.inf)
+        # The cheapest collapse of each vertex; among equals the first.
+        least = np.full(n, np.inf)
+        least[adjacency.used] = adjacency.smallest(cost)
+        best = np.flatnonzero(allowed & (cost == least[drop]))
+        best = best[np.concatenate([[True], np.diff(drop[best]) > 0])] if len(best) else best
+        if not len(best):
             break
-        length = ((points[drop] - points[keep]) ** 2).sum(axis=1)
-        cost = np.einsum("hq,hq->h", quadric[drop] + quadric[keep], position[keep])
-        cost = cost + _LENGTH_WEIGHT * mean_area * length * (count_in[drop] + count_in[keep])
-        order = np.lexsort((cost, drop))
-        best = order[np.concatenate([[True], np.diff(drop[order]) > 0])]
         best = best[np.argsort(cost[best], kind="stable")]
         best = best[: max(64, int(_CHEAP_PART * len(best)))]
         wish = np.full(n, -1)
