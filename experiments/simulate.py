@@ -12,7 +12,7 @@ from tqdm import tqdm
 from tryon_jax.checks import check_range
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import DatasetConfig, default_root, open_dataset
-from tryon_jax.training.generate import Task, garment_names, plan, run_task
+from tryon_jax.training.generate import Task, end_with_parent, garment_names, plan, run_task
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def main(config: Config) -> None:
     os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     context = multiprocessing.get_context("spawn")
     failed: list[str] = []
-    with ProcessPoolExecutor(config.processes, mp_context=context) as pool:
+    with ProcessPoolExecutor(config.processes, mp_context=context, initializer=end_with_parent) as pool:
         try:
             for name, wave in zip(("mean body", "rays"), waves, strict=True):
                 _run_wave(pool, root, name, wave, failed)

@@ -6,6 +6,10 @@ twice without harm.
 
 import functools
 import json
+import multiprocessing
+import multiprocessing.connection
+import os
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -81,6 +85,19 @@ def run_task(root: str, task: Task) -> str:
     if task.kind == "ray":
         return bench.simulate_ray(task)
     return bench.simulate_template(task)
+
+
+def end_with_parent() -> None:
+    """Let this worker end when the process that started it does, even if that is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def template_designs(manifest: Manifest, count: int) -> list[Design]:
