@@ -19,12 +19,14 @@ def disc(count: int = 300, seed: int = 0) -> Mesh:
     return np.column_stack([points, height]), faces.astype(np.int64)
 
 
-def tube(around: int = 16, along: int = 20, radius: float = 0.2, length: float = 0.6, seed: int = 0) -> Mesh:
+def tube(
+    around: int = 16, along: int = 20, radius: float = 0.2, length: float = 0.6, seed: int = 0, shake: float = 0.003
+) -> Mesh:
     """An open tube (two borders) around the y axis with slightly shaken vertices."""
     angle, row = np.meshgrid(np.arange(around), np.arange(along))
     theta = 2 * np.pi * (angle + 0.5 * (row % 2)) / around
     points = np.stack([radius * np.cos(theta), length * row / (along - 1) - length / 2, radius * np.sin(theta)], -1)
-    points = points.reshape(-1, 3) + np.random.default_rng(seed).normal(0, 0.003, (around * along, 3))
+    points = points.reshape(-1, 3) + np.random.default_rng(seed).normal(0, shake, (around * along, 3))
     faces = []
     for j in range(along - 1):
         for i in range(around):

@@ -19,7 +19,7 @@ from tryon_jax.types import ArrayLike, pytree
 
 _ERROR = 1e-5
 # Outside these bounds the mesh, not the surface, speaks: slivers would make the flow stiff.
-_COTANGENT_RANGE = (0.02, 4.0)
+_WEIGHT_RANGE = (0.02, 4.0)
 _MIN_MASS = 0.2
 
 
@@ -36,7 +36,7 @@ class HeatSmoother:
 def surface_laplacian(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> tuple[sp.csr_array, float]:
     """A with (A x)_i ≈ −Δx in 1/m² and a bound of its spectrum; border rows see the border only.
 
-    Cotangents and vertex areas are clipped to what well-shaped triangles have.
+    Edge weights and vertex areas are clipped to what well-shaped triangles have.
     """
     n = len(vertices)
     corners = vertices[faces]
@@ -46,15 +46,17 @@ def surface_laplacian(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray,
         i, j = (k + 1) % 3, (k + 2) % 3
         to_i, to_j = corners[:, i] - corners[:, k], corners[:, j] - corners[:, k]
         cotangent = np.einsum("fc,fc->f", to_i, to_j) / np.maximum(2.0 * area, 1e-12)
-        half = 0.5 * np.clip(cotangent, *_COTANGENT_RANGE)
         rows += [faces[:, i], faces[:, j]]
         columns += [faces[:, j], faces[:, i]]
-        values += [half, half]
+        values += [0.5 * cotangent, 0.5 * cotangent]
     mass = np.bincount(faces.ravel(), np.repeat(area / 3.0, 3), minlength=n)
     border = border_edges(faces, n)
     on_border = np.zeros(n, bool)
     on_border[border] = True
-    row, column, value = np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
+    index = (np.concatenate(rows), np.concatenate(columns))
+    weights = sp.coo_array((np.concatenate(values), index), shape=(n, n)).tocsr().tocoo()
+    # The two cotangents at an edge are clipped together: one of them is negative beside any obtuse angle.
+    (row, column), value = weights.coords, np.clip(weights.data, *_WEIGHT_RANGE)
     inside = ~on_border[row]
     length = np.linalg.norm(vertices[border[:, 0]] - vertices[border[:, 1]], axis=1)
     length = np.maximum(length, 0.2 * length.mean() if len(length) else 0.0)
