@@ -22,6 +22,8 @@ from scipy.optimize import nnls
 
 from tools.bake_body_makehuman import Archive, BaseMesh, Rig, read_base, read_rig
 from tools.bake_body_samples import DENSITY, draw_samples, volume
+from tryon_jax.body.landmarks import find_landmarks
+from tryon_jax.types import Body
 
 DATA = Path(__file__).parent.parent / "tryon_jax" / "data" / "body"
 TOPOLOGY = Path(__file__).parent / "body_topology.npz"
@@ -221,7 +223,23 @@ def bake(wheel: str | Path, count: int = COUNT) -> dict[str, dict[str, np.ndarra
         error = np.linalg.norm(np.einsum("jv,nvd->njd", regressor, bodies) - joints, axis=-1).mean()
         print(f"{name}: variance explained {100 * explained.sum():.1f} %, joint error {1e3 * error:.1f} mm")
         files[name] = pack(*to_pelvis(mean, directions, regressor), regressor, explained)
+        files[name] |= tape_places(name, files[name], files["topology"])
     return files
+
+
+def tape_places(name: str, own: dict[str, np.ndarray], shared: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The landmarks of a body, as its file holds them."""
+    body = Body(
+        v_template=own["v_template"],
+        shapedirs=np.zeros((*own["v_template"].shape, 0), np.float32),
+        J_regressor=own["J_regressor"],
+        lbs_weights=shared["lbs_weights"],
+        faces=shared["faces"],
+        parents=tuple(PARENTS.tolist()),
+        joint_names=tuple(JOINTS),
+        name=name,
+    )
+    return {f"landmark_{key}": value for key, value in vars(find_landmarks(body)).items()}
 
 
 def fingerprint(arrays: dict[str, np.ndarray]) -> str:

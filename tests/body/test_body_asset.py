@@ -11,9 +11,9 @@ from tryon_jax.body.embedded import expand_shapedirs, read_asset
 # bodies to 0.01 mm, not to the bit; `python -m tools.bake_body WHEEL --check` compares.
 FINGERPRINTS = {
     "topology": "390fe161245a1172eb983f8a0c2baa23214aec9706d68601bef265715c41358c",
-    "female": "faf3cc0646072299375f58f4f46be184669d76fabb85ec566d7a6deb3980957d",
-    "male": "1a4e8c289cd2c633e5feb5045b81dcf7327753322aea0b111d4131433529fed2",
-    "neutral": "ef3f6f49ade841b538d293c006e12ffb4d11191de81f36adcae7b96760d704d7",
+    "female": "a7d241f261f69cfca94580ee6a3b1915a6aba9a03b62310402fe6537ff1613ec",
+    "male": "a53019a37d7cf0deb9b8c7a5732def073aa547bb78afe864c38ee6b76d88a88b",
+    "neutral": "4ca4f744832ec939eaba47d6316e4bc35b53ee5d3b11354f514fa284a979bb50",
 }
 
 

@@ -1,5 +1,6 @@
 """The bodies inside the package: female, male and neutral, one topology, CC0 (made by `tools/bake_body.py`)."""
 
+from collections.abc import Iterable
 from importlib import resources
 
 import jax.numpy as jnp
@@ -11,13 +12,15 @@ from tryon_jax.types import Body
 
 NAMES = ("female", "male", "neutral")
 """Names of the embedded bodies."""
+NUM_VERTICES = 6774
+"""Vertices of each embedded body."""
 
 
-def read_asset(name: str) -> dict[str, np.ndarray]:
-    """Arrays of one embedded file, `topology` or the name of a body."""
+def read_asset(name: str, keys: Iterable[str] | None = None) -> dict[str, np.ndarray]:
+    """Arrays of one embedded file, `topology` or the name of a body; all, or only `keys`."""
     source = resources.files("tryon_jax").joinpath("data", "body", f"{name}.npz")
     with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-        return {key: archive[key] for key in archive.files}
+        return {key: archive[key] for key in (archive.files if keys is None else keys)}
 
 
 def expand_shapedirs(arrays: dict[str, np.ndarray]) -> Float[np.ndarray, "V 3 B"]:
