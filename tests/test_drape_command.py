@@ -1,0 +1,163 @@
+import csv
+import json
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+
+from tryon_jax.body import load_body
+from tryon_jax.cli import main
+from tryon_jax.garment import build_template, load_design_space, placement
+from tryon_jax.nets.config import load_config
+from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.tryon import init_model, save_model
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """A model whose networks are all zero, so that every drape is the flat panels round the body."""
+    space = load_design_space()
+    template = placement(build_template(space, space.mean_design)).astype(np.float32)
+    net = UNetConfig(widths=(4, 4), encoder_convs=1)
+    config = load_config("small", smooth=net, fine=net, fabrics=("gray-interlock", "camel-ponte-roma"))
+    body = load_body(config.body)
+    shapes = jax.eval_shape(lambda: init_model(jax.random.key(0), config, body=body))
+    model = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    mean = replace(model.mean, template_center=template, design_scale=np.ones_like(model.mean.design_scale))
+    path = tmp_path_factory.mktemp("weights") / "model.safetensors"
+    save_model(path, replace(model, mean=mean, body=body))
+    return str(path)
+
+
+COARSE = ["--triangle-area", "12"]
+
+
+def test_drape_writes_mesh_picture_and_report_and_tells_the_time(weights, tmp_path, capsys):
+    mesh, picture, report = (tmp_path / name for name in ("dress.glb", "dress.png", "dress.json"))
+    options = ["--design", "dress", "--betas", "1.5", "-0.5", "--height", "80", "--views", "front", *COARSE]
+    files = ["--out", str(mesh), "--picture", str(picture), "--report", str(report)]
+    assert main(["drape", "--weights", weights, *options, *files]) == 0
+    out = capsys.readouterr().out
+    for word in (
+        "design   dress",
+        "chest ",
+        "waist ",
+        "hip ",
+        "tension",
+        "inside",
+        "time ",
+        "start-up",
+        "drape",
+        "picture",
+    ):
+        assert word in out
+    scene = trimesh.load(mesh, process=False)
+    assert set(scene.geometry) == {"body", "garment"}
+    assert scene.geometry["garment"].visual.uv is not None
+    record = json.loads(report.read_text())
+    assert record["betas"] == [1.5, -0.5]
+    assert record["fabric"] == "gray-interlock"
+    assert record["design"]["length"] == pytest.approx(load_design_space().preset("dress")["length"])
+    assert picture.stat().st_size > 1000
+
+
+def test_design_parameters_replace_those_of_the_preset(weights, tmp_path):
+    reports = []
+    for changes in (
+        ["--garment-length", "0.9", "--sleeve-length", "0.2"],
+        ["--set", "length=0.9", "sleeve_length=0.2"],
+    ):
+        path = tmp_path / "report.json"
+        command = ["drape", "--weights", weights, "--design", "tshirt", *changes, *COARSE, "--report", str(path)]
+        assert main(command) == 0
+        reports.append(json.loads(path.read_text()))
+    assert reports[0]["design"] == reports[1]["design"]
+    assert reports[0]["design"]["length"] == pytest.approx(0.9)
+
+
+def test_measurements_in_place_of_betas(weights, tmp_path, capsys):
+    path = tmp_path / "report.json"
+    assert main(["drape", "--weights", weights, "--stature", "1.72", *COARSE, "--report", str(path)]) == 0
+    assert "from measurements" in capsys.readouterr().out
+    assert len(json.loads(path.read_text())["betas"]) == 2
+
+
+def test_maps_colour_the_cloth(weights, tmp_path):
+    path = tmp_path / "ease.glb"
+    picture = tmp_path / "ease.png"
+    options = ["--map", "ease", "--height", "80", "--views", "front", *COARSE]
+    assert main(["drape", "--weights", weights, *options, "--out", str(path), "--picture", str(picture)]) == 0
+    colors = trimesh.load(path, process=False).geometry["garment"].visual.vertex_attributes["color"]
+    assert len(np.unique(colors, axis=0)) > 20
+
+
+def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
+    orders = tmp_path / "orders.csv"
+    orders.write_text(
+        "name,design,betas,stature,garment_length,fabric\n"
+        "ann,dress,0.5 -1,,,camel-ponte-roma\n"
+        "bea,tshirt,,1.70,,\n"
+        ",tshirt,,,0.7,\n"
+    )
+    out = tmp_path / "results"
+    command = ["drape", "--weights", weights, "--batch", str(orders), "--out", str(out), "--format", "npz", *COARSE]
+    assert main(command) == 0
+    assert sorted(path.name for path in out.iterdir()) == ["003.npz", "ann.npz", "bea.npz", "fit.csv"]
+    with (out / "fit.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == ["ann", "bea", "003"]
+    assert rows[0]["fabric"] == "camel-ponte-roma"
+    assert rows[0]["betas"] == "0.5 -1"
+    assert float(rows[2]["design_length"]) == pytest.approx(0.7)
+    assert float(rows[0]["body_girth_hip"]) > 0.6
+    with np.load(out / "ann.npz") as mesh:
+        assert mesh["garment_uv"].shape[1] == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--design", "dres"], "unknown design 'dres' (did you mean 'dress'?)"),
+        (["--garment-length", "90"], "length = 90 m is outside its range"),
+        (["--set", "hem=1"], "unknown parameter 'hem'"),
+        (["--set", "length"], "--set takes NAME=VALUE"),
+        (["--fabric", "silk"], "unknown fabric 'silk'"),
+        (["--betas", "1", "--stature", "1.7"], "either betas or measurements"),
+        (["--betas", "1", "2", "3"], "betas has 3 numbers, but the networks know the first 2"),
+        (["--betas", "nan"], "betas must be finite"),
+        (["--stature", "172"], "172 looks like centimetres"),
+        (["--out", "dress.fbx"], "suffix '.fbx' is none of"),
+        (["--picture", "dress.gif"], "suffix must be one of"),
+        (["--triangle-area", "100"], "triangle area = 100 cm^2 is outside its range"),
+        (["--batch", "missing.csv", "--out", "results"], "no file at 'missing.csv'"),
+        (["--batch", "orders.csv"], "--batch needs --out"),
+        (["--batch", "orders.csv", "--out", "r", "--design", "dress"], "columns of the CSV file"),
+    ],
+)
+def test_bad_requests_are_one_line_and_leave_nothing(weights, tmp_path, monkeypatch, capsys, options, message):
+    monkeypatch.chdir(tmp_path)
+    assert main(["drape", "--weights", weights, *options, *([] if "--triangle-area" in options else COARSE)]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("design,color\ndress,red\n", "unknown column of orders.csv 'color'"),
+        ("design,stature\ndress,tall\n", "row 1 of orders.csv: stature must be a number, got 'tall'"),
+        ("name,design\na,dress\na,tshirt\n", "distinct names"),
+        ("name,design\n../a,dress\n", "plain file name"),
+        ("name,design\n", "distinct names"),
+    ],
+)
+def test_bad_batch_files_name_the_row(weights, tmp_path, monkeypatch, capsys, text, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "orders.csv").write_text(text)
+    assert main(["drape", "--weights", weights, "--batch", "orders.csv", "--out", "results"]) == 1
+    assert message in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["orders.csv"]

@@ -1,0 +1,164 @@
+"""What a user asks to be draped: a design, a body shape and a fabric, from options or from a row of a CSV file."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from tryon_jax.body.fit import betas_from_measurements
+from tryon_jax.body.measurements import MEASUREMENTS
+from tryon_jax.body.shape import check_betas
+from tryon_jax.checks import check_choice, check_file
+from tryon_jax.garment import Design, DesignSpace
+from tryon_jax.types import Body
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """The shape of the body, as betas or as measurements; the mean body when nothing is given."""
+
+    betas: tuple[float, ...] = ()
+    """Shape coefficients in standard deviations; those left out are 0."""
+    stature: float | None = None
+    """Body height, metres."""
+    chest: float | None = None
+    """Chest (bust) girth of the body, metres."""
+    waist: float | None = None
+    """Waist girth of the body, metres."""
+    hip: float | None = None
+    """Hip girth of the body, metres."""
+    neck: float | None = None
+    """Neck girth, metres."""
+    upper_arm: float | None = None
+    """Upper-arm girth, metres."""
+    arm_length: float | None = None
+    """From shoulder over elbow to wrist, metres."""
+    inside_leg: float | None = None
+    """From crotch to floor, metres."""
+    shoulder_width: float | None = None
+    """From shoulder point to shoulder point, metres."""
+
+    def measurements(self) -> dict[str, float]:
+        """The measurements that are given, metres."""
+        given = {name: getattr(self, name) for name in MEASUREMENTS}
+        return {name: value for name, value in given.items() if value is not None}
+
+
+@dataclass(frozen=True)
+class Cut:
+    """The design of the garment."""
+
+    design: str | None = None
+    """Preset, such as dress, tshirt, sweater or tank; the mean design when not given."""
+    sleeve_length: float | None = None
+    """Sleeve length in place of the preset's, metres."""
+    garment_chest: float | None = None
+    """Circumference of the garment at the underarm in place of the preset's, metres."""
+    garment_length: float | None = None
+    """Length of the garment in place of the preset's, metres."""
+    set: tuple[str, ...] = ()
+    """Any design parameters in place of the preset's: NAME=VALUE, metres."""
+
+    def changes(self) -> dict[str, float]:
+        """Parameters that differ from the preset's, by their names in the design space."""
+        named = {"sleeve_length": self.sleeve_length, "chest": self.garment_chest, "length": self.garment_length}
+        changes = {name: value for name, value in named.items() if value is not None}
+        for entry in self.set:
+            name, equals, text = entry.partition("=")
+            if not equals:
+                raise ValueError(f"--set takes NAME=VALUE such as length=0.9, got {entry!r}")
+            changes[name.strip()] = _number(f"design parameter {name.strip()!r}", text)
+        return changes
+
+
+@dataclass(frozen=True)
+class Request:
+    """One garment on one body."""
+
+    name: str = "garment"
+    cut: Cut = field(default_factory=Cut)
+    shape: BodyShape = field(default_factory=BodyShape)
+    fabric: str | None = None
+
+
+def resolve_design(space: DesignSpace, cut: Cut) -> Design:
+    """The design that is meant; raises `ValueError` for unknown names and values out of range."""
+    base = space.mean_design if cut.design is None else space.preset(cut.design)
+    changes = cut.changes()
+    return space.design(base.label, **(base.as_dict() | changes)) if changes else base
+
+
+def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndarray, list[str]]:
+    """The betas [num_betas] that are meant, and remarks on how well measurements are met.
+
+    Raises `ValueError` when both betas and measurements are given, for too many betas, or for values out of range.
+    """
+    asked = shape.measurements()
+    if asked and shape.betas:
+        raise ValueError("give either betas or measurements of the body, not both")
+    if len(shape.betas) > num_betas:
+        raise ValueError(f"betas has {len(shape.betas)} numbers, but the networks know the first {num_betas} only")
+    if not asked:
+        betas = np.zeros(num_betas, np.float32)
+        betas[: len(shape.betas)] = shape.betas
+        return np.asarray(check_betas(body, betas), np.float32), []
+    # Only shapes that the networks know are searched.
+    fit = betas_from_measurements(replace(body, shapedirs=body.shapedirs[..., :num_betas]), asked)
+    remarks = ["betas    " + " ".join(f"{b:+.2f}" for b in np.asarray(fit.betas)) + " from measurements"]
+    if fit.outside is not None:
+        remarks.append(f"note     {fit.outside}")
+    return np.asarray(fit.betas, np.float32), remarks
+
+
+_COLUMNS = ("name", "fabric", *(f.name for f in fields(Cut)), *(f.name for f in fields(BodyShape)))
+
+
+def read_requests(path: Path) -> list[Request]:
+    """Requests from a CSV file with a header; each column is one of the options, empty cells are not given.
+
+    `name` (the result's file name) is the row's number when it is not given; lists are separated by spaces.
+
+    Raises:
+        ValueError: unknown columns, a number that is none, or two rows of one name; the row is named.
+    """
+    with check_file("batch file", path).open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        for column in reader.fieldnames or ():
+            check_choice(f"column of {path.name}", column, _COLUMNS)
+        rows = list(reader)
+    requests = []
+    for number, row in enumerate(rows, start=1):
+        cells = {key: value.strip() for key, value in row.items() if key is not None and value and value.strip()}
+        try:
+            requests.append(_request(cells, f"{number:03d}"))
+        except ValueError as error:
+            raise ValueError(f"row {number} of {path.name}: {error}") from error
+    names = [request.name for request in requests]
+    if not names or len(set(names)) != len(names):
+        raise ValueError(f"{path.name} must have rows with distinct names, got {names}")
+    return requests
+
+
+def _request(cells: Mapping[str, str], name: str) -> Request:
+    name = cells.get("name", name)
+    if Path(name).name != name:
+        raise ValueError(f"name = {name!r} must be a plain file name without a directory")
+    texts = {key: cells[key] for key in ("design",) if key in cells}
+    lengths = {f.name for f in fields(Cut)} - {"design", "set"}
+    cut = Cut(
+        **texts,
+        **{key: _number(key, cells[key]) for key in lengths if key in cells},
+        set=tuple(cells.get("set", "").split()),
+    )
+    betas = tuple(_number("betas", text) for text in cells.get("betas", "").split())
+    shape = BodyShape(betas, **{key: _number(key, cells[key]) for key in MEASUREMENTS if key in cells})
+    return Request(name, cut, shape, cells.get("fabric"))
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"{name} must be a number, got {text!r}") from None
