@@ -75,9 +75,9 @@ def describe(space: DesignSpace, design: Design, garment: GarmentMesh) -> list[s
     lines.append("edges    " + ", ".join(f"{e.name} {100 * length(drawn[e.name]):.1f} cm" for e in shown))
     quality = garment.quality
     lines.append(f"fabric   {quality.total_area:.3f} m² without allowances")
+    size = f"{garment.num_vertices} vertices, {quality.num_faces} triangles of {1e4 * quality.mean_area:.3f} cm²"
     lines.append(
-        f"mesh     {garment.num_vertices} vertices, {quality.num_faces} triangles of {1e4 * quality.mean_area:.3f} cm²; "
-        f"smallest angle {quality.min_angle:.1f}°; distortion {quality.mean_distortion:.3f} mean, "
+        f"mesh     {size}; smallest angle {quality.min_angle:.1f}°; distortion {quality.mean_distortion:.3f} mean, "
         f"{quality.max_distortion:.2f} worst"
     )
     return lines

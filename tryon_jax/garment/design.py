@@ -88,7 +88,7 @@ class DesignSpace:
         """Values of all the layout's parameters: the design's, and means for those that are not active."""
         return {p.name: p.mean for p in self.layout.parameters} | design.as_dict()
 
-    def draw(self, design: Design) -> dict[str, Float[np.ndarray, "N 2"]]:
+    def draw(self, design: Design) -> dict[str, Float[np.ndarray, "_ 2"]]:
         """Every edge of the design as a dense polyline in metres (see `Layout.draw`)."""
         return self.layout.draw(self.layout_values(design))
 

@@ -40,7 +40,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., float], int | None]] = {
 """Functions that expressions may call, with their number of arguments (None: two or more)."""
 
 
-def parse_expression(text: str | float | int, where: str) -> ast.expr:
+def parse_expression(text: object, where: str) -> ast.expr:
     """Parse one expression and reject everything that is not arithmetic.
 
     Args:

@@ -96,7 +96,7 @@ class Layout:
             points[point] = np.array([names[point + "_x"], names[point + "_y"]])
         return points
 
-    def draw(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "N 2"]]:
+    def draw(self, values: Mapping[str, float]) -> dict[str, Float[np.ndarray, "_ 2"]]:
         """Every edge as a dense polyline [N, 2] in metres, in the direction of its drawing."""
         points = self.named_points(values)
         drawn: dict[str, np.ndarray] = {}

@@ -53,7 +53,7 @@ def locate(
 
 
 def on_edges(
-    fine: Mapping[str, Int[np.ndarray, " E"]], coarse: Mapping[str, Int[np.ndarray, " K"]]
+    fine: Mapping[str, Int[np.ndarray, " _"]], coarse: Mapping[str, Int[np.ndarray, " _"]]
 ) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, "P 3"], Float[np.ndarray, "P 3"]]:
     """Weights of outline samples on a coarser sampling of the same edges, by their fraction of each edge.
 
@@ -79,10 +79,10 @@ def on_edges(
 
 def tie_panel(
     points: Float[np.ndarray, "N 2"],
-    edges: Mapping[str, Int[np.ndarray, " E"]],
+    edges: Mapping[str, Int[np.ndarray, " _"]],
     base_points: Float[np.ndarray, "M 2"],
     base_faces: Int[np.ndarray, "F 3"],
-    base_edges: Mapping[str, Int[np.ndarray, " K"]],
+    base_edges: Mapping[str, Int[np.ndarray, " _"]],
 ) -> tuple[Int[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
     """Barycentric map from one triangulation of a panel (`base`) to another: three points and weights for each point.
 

@@ -33,13 +33,13 @@ class SewnMesh:
     """Names of the panels in the layout's order ("front", "back")."""
     panel_sides: tuple[str, ...]
     """Side of the body that each panel covers: "front" or "back"."""
-    loops: Mapping[str, Int[np.ndarray, " L"]]
+    loops: Mapping[str, Int[np.ndarray, " _"]]
     """Open borders by name (neck, hem, cuff_left, cuff_right): vertices in order round the loop."""
-    seams: Mapping[str, Int[np.ndarray, " S"]]
+    seams: Mapping[str, Int[np.ndarray, " _"]]
     """Sewn seams by name: vertices from end to end, ends included."""
-    seam_uv: Mapping[str, Int[np.ndarray, "S 2"]]
+    seam_uv: Mapping[str, Int[np.ndarray, "_ 2"]]
     """The two uv indices at each vertex of a seam, in the same order."""
-    outlines: tuple[Int[np.ndarray, " B"], ...]
+    outlines: tuple[Int[np.ndarray, " _"], ...]
     """For each panel its outline as indices into `uv`, counter-clockwise in UV."""
     vertex_uv: Int[np.ndarray, " V"]
     """One uv of each vertex."""

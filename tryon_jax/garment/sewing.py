@@ -37,7 +37,7 @@ class SampledOutline:
 
     points: Float[np.ndarray, "B 2"]
     """Counter-clockwise, metres; the first point is not repeated."""
-    edges: Mapping[str, Int[np.ndarray, " E"]]
+    edges: Mapping[str, Int[np.ndarray, " _"]]
     """For each edge the indices of its samples in the direction of its drawing, both ends included."""
 
 
@@ -56,7 +56,7 @@ def sample_outline(panel: Panel, drawn: Mapping[str, np.ndarray], counts: Counts
 
 def seam_samples(
     layout: Layout, outlines: Sequence[SampledOutline], start: Int[np.ndarray, " P"]
-) -> dict[str, Int[np.ndarray, "S 2"]]:
+) -> dict[str, Int[np.ndarray, "_ 2"]]:
     """The pairs of outline samples that each seam joins, from end to end; panel k's samples begin at start[k].
 
     Raises:
@@ -89,8 +89,8 @@ def sew(
     layout: Layout,
     design: Design,
     outlines: Sequence[SampledOutline],
-    points: Sequence[Float[np.ndarray, "N 2"]],
-    faces: Sequence[Int[np.ndarray, "F 3"]],
+    points: Sequence[Float[np.ndarray, "_ 2"]],
+    faces: Sequence[Int[np.ndarray, "_ 3"]],
 ) -> SewnMesh:
     """Sew triangulated panels: the two samples at each place of a seam become one vertex.
 

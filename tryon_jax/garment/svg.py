@@ -95,7 +95,7 @@ def pattern_svg(
 
 
 def cutting_line(
-    panel: Panel, drawn: Mapping[str, Float[np.ndarray, "N 2"]], allowances: Mapping[str, float]
+    panel: Panel, drawn: Mapping[str, Float[np.ndarray, "_ 2"]], allowances: Mapping[str, float]
 ) -> Float[np.ndarray, "M 2"]:
     """The outline of a panel moved outwards by each edge's allowance, counter-clockwise, metres.
 
@@ -193,13 +193,14 @@ def _panel(
     low, high = seam.min(axis=0), seam.max(axis=0)
     x = 0.0 if low[0] < 0 < high[0] else (low[0] + high[0]) / 2
     top, bottom = paper(np.array([[x, high[1] - 0.28 * (high[1] - low[1])], [x, low[1] + 0.22 * (high[1] - low[1])]]))
+    beside = f'style="text-anchor: start" x="{top[0] + 8:.2f}'
     parts += [
         f'<path class="mark" d="M {top[0]:.2f} {top[1]:.2f} V {bottom[1]:.2f} m -2 -5 l 2 5 l 2 -5 '
         f'M {top[0] - 2:.2f} {top[1] + 5:.2f} l 2 -5 l 2 5"/>',
         f'<text transform="translate({top[0] - 4:.2f} {(top[1] + bottom[1]) / 2:.2f}) rotate(-90)">'
         "grain line, centre</text>",
-        f'<text class="title" x="{top[0] + 8:.2f}" y="{top[1] + 20:.2f}" style="text-anchor: start">{_escape(panel.name)}</text>',
-        f'<text x="{top[0] + 8:.2f}" y="{top[1] + 28:.2f}" style="text-anchor: start">cut 1, drawn as seen from the front</text>',
+        f'<text class="title" {beside}" y="{top[1] + 20:.2f}">{_escape(panel.name)}</text>',
+        f'<text {beside}" y="{top[1] + 28:.2f}">cut 1, drawn as seen from the front</text>',
         "</g>",
     ]
     return parts

@@ -37,9 +37,9 @@ class Reference:
     """Values of all the layout's parameters."""
     counts: Mapping[str, int]
     """Segments on each edge."""
-    points: tuple[Float[np.ndarray, "N 2"], ...]
+    points: tuple[Float[np.ndarray, "_ 2"], ...]
     """Points of each panel, outline first."""
-    faces: tuple[Int[np.ndarray, "F 3"], ...]
+    faces: tuple[Int[np.ndarray, "_ 3"], ...]
     """Counter-clockwise triangles of each panel."""
 
 
@@ -126,9 +126,9 @@ class TriangulatedPattern:
     mesh: SewnMesh
     outlines: tuple[SampledOutline, ...]
     """Samples on the outline of each panel."""
-    points: tuple[Float[np.ndarray, "N 2"], ...]
+    points: tuple[Float[np.ndarray, "_ 2"], ...]
     """Points of each panel, outline first."""
-    faces: tuple[Int[np.ndarray, "F 3"], ...]
+    faces: tuple[Int[np.ndarray, "_ 3"], ...]
     """Counter-clockwise triangles of each panel."""
 
 
@@ -136,8 +136,8 @@ def sew_pattern(
     layout: Layout,
     design: Design,
     outlines: Sequence[SampledOutline],
-    points: Sequence[Float[np.ndarray, "N 2"]],
-    faces: Sequence[Int[np.ndarray, "F 3"]],
+    points: Sequence[Float[np.ndarray, "_ 2"]],
+    faces: Sequence[Int[np.ndarray, "_ 3"]],
 ) -> TriangulatedPattern:
     """Sew panels and keep them; see `sew`."""
     return TriangulatedPattern(

@@ -45,7 +45,7 @@ class Piece:
     """Texture coordinates as in the file, or None."""
     faces_uv: Int[np.ndarray, "F 3"] | None
     """Triangles as indices into `uv`, or None."""
-    loops: tuple[Int[np.ndarray, " L"], ...]
+    loops: tuple[Int[np.ndarray, " _"], ...]
     """Open borders, longest first."""
 
 
