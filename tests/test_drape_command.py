@@ -12,7 +12,7 @@ from tryon_jax.cli import main
 from tryon_jax.garment import build_template, load_design_space, placement
 from tryon_jax.nets.config import load_config
 from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.tryon import init_model, save_model
+from tryon_jax.tryon import TryOnModel, init_model, model_parameters, save_model
 
 
 @pytest.fixture(scope="module")
@@ -23,11 +23,11 @@ def weights(tmp_path_factory):
     net = UNetConfig(widths=(4, 4), encoder_convs=1)
     config = load_config("small", smooth=net, fine=net, fabrics=("gray-interlock", "camel-ponte-roma"))
     body = load_body(config.body)
-    shapes = jax.eval_shape(lambda: init_model(jax.random.key(0), config, body=body))
-    model = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), shapes)
+    learned = jax.jit(lambda: model_parameters(init_model(jax.random.key(0), config, body=body)))()
+    model = TryOnModel(**jax.tree.map(lambda leaf: np.zeros_like(leaf), learned), body=body, config=config)
     mean = replace(model.mean, template_center=template, design_scale=np.ones_like(model.mean.design_scale))
     path = tmp_path_factory.mktemp("weights") / "model.safetensors"
-    save_model(path, replace(model, mean=mean, body=body))
+    save_model(path, replace(model, mean=mean))
     return str(path)
 
 
@@ -41,7 +41,7 @@ def test_drape_writes_mesh_picture_and_report_and_tells_the_time(weights, tmp_pa
     assert main(["drape", "--weights", weights, *options, *files]) == 0
     out = capsys.readouterr().out
     for word in (
-        "design   dress",
+        "garment  dress",
         "chest ",
         "waist ",
         "hip ",
@@ -82,6 +82,23 @@ def test_measurements_in_place_of_betas(weights, tmp_path, capsys):
     assert main(["drape", "--weights", weights, "--stature", "1.72", *COARSE, "--report", str(path)]) == 0
     assert "from measurements" in capsys.readouterr().out
     assert len(json.loads(path.read_text())["betas"]) == 2
+
+
+def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys):
+    """A drape that was written comes back as somebody's mesh, in centimetres."""
+    first, second = tmp_path / "first.npz", tmp_path / "second.npz"
+    assert main(["drape", "--weights", weights, "--design", "tshirt", *COARSE, "--out", str(first)]) == 0
+    with np.load(first) as arrays:
+        vertices, faces = arrays["garment_vertices"], arrays["garment_faces"]
+    own = tmp_path / "own.ply"
+    trimesh.Trimesh(100 * vertices, faces, process=False).export(own)
+    capsys.readouterr()
+    assert main(["drape", "--weights", weights, "--garment", str(own), "--out", str(second)]) == 0
+    out = capsys.readouterr().out
+    assert f"garment  own.ply; {len(vertices)} vertices, {len(faces)} triangles" in out
+    assert "tension  0.0 %" in out, "the mesh as it came is unstretched"
+    with np.load(second) as arrays:
+        np.testing.assert_allclose(arrays["garment_vertices"], vertices, atol=1e-5)
 
 
 def test_maps_colour_the_cloth(weights, tmp_path):
@@ -134,6 +151,8 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
         (["--batch", "missing.csv", "--out", "results"], "no file at 'missing.csv'"),
         (["--batch", "orders.csv"], "--batch needs --out"),
         (["--batch", "orders.csv", "--out", "r", "--design", "dress"], "columns of the CSV file"),
+        (["--garment", "missing.obj"], "no file at 'missing.obj'"),
+        (["--garment", "missing.obj", "--design", "dress"], "either a design or --garment"),
     ],
 )
 def test_bad_requests_are_one_line_and_leave_nothing(weights, tmp_path, monkeypatch, capsys, options, message):

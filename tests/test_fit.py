@@ -3,7 +3,7 @@ import pytest
 
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.body.landmarks import load_landmarks
-from tryon_jax.fit import EASE_AT, girth_round, measure_fit, stretches, tape_place
+from tryon_jax.fit import EASE_AT, girth_round, measure_fit, pattern_of, stretches, tape_place
 
 
 def cylinder(radius, low, high, rows=9, columns=240, around=(0.0, 0.0)):
@@ -63,6 +63,15 @@ def test_stretch_is_what_was_done_to_the_pattern():
     longer = stretches(points * [1, 1.1, 1], faces, uv, faces_uv)
     np.testing.assert_allclose(longer[:, 0], 1.1, atol=2e-4)
     np.testing.assert_allclose(longer[:, 1], 1.0, atol=2e-4)
+
+
+def test_a_pattern_in_true_size_is_kept_and_a_texture_atlas_is_not():
+    points, faces, uv, faces_uv = cylinder(0.2, -0.5, 0.5)
+    assert pattern_of(points, faces, uv, faces_uv) == (uv, faces_uv)
+    for given in ((uv / 3, faces_uv), (None, None)):
+        laid, corners = pattern_of(points, faces, *given)
+        np.testing.assert_allclose(stretches(points, faces, laid, corners), 1, atol=1e-9)
+        np.testing.assert_allclose(stretches(2 * points, faces, laid, corners), 2, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

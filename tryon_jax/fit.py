@@ -197,3 +197,31 @@ def stretches(
     now = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     gradient = now @ np.linalg.inv(rest)
     return np.linalg.svd(gradient, compute_uv=False)
+
+
+def pattern_of(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    uv: Float[np.ndarray, "U 2"] | None = None,
+    faces_uv: Int[np.ndarray, "F 3"] | None = None,
+) -> tuple[Float[np.ndarray, "N 2"], Int[np.ndarray, "F 3"]]:
+    """Rest shape of a mesh's triangles in the plane, metres: its `uv` where they are a pattern in true size.
+
+    Texture coordinates are taken for a pattern when their area is that of the mesh to within a quarter; otherwise
+    every triangle is laid flat by itself, so that the mesh as it is counts as unstretched.
+    """
+    corners = vertices[faces]
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    if uv is not None and faces_uv is not None:
+        flat = uv[faces_uv]
+        a, b = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
+        doubled = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        drawn, real = doubled.sum(), np.linalg.norm(np.cross(first, second), axis=1).sum()
+        if abs(drawn / real - 1) < 0.25 and doubled.min() > 0:
+            return uv, faces_uv
+    length = np.linalg.norm(first, axis=1)
+    along = np.sum(first * second, axis=1) / length
+    across = np.sqrt(np.maximum(np.sum(second**2, axis=1) - along**2, 0))
+    zero = np.zeros_like(length)
+    laid = np.stack([zero, zero, length, zero, along, across], axis=1).reshape(-1, 2)
+    return laid, np.arange(3 * len(faces)).reshape(-1, 3)

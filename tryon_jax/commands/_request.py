@@ -81,6 +81,8 @@ class Request:
     cut: Cut = field(default_factory=Cut)
     shape: BodyShape = field(default_factory=BodyShape)
     fabric: str | None = None
+    mesh: Path | None = None
+    """A mesh of the user's own in place of the cut."""
 
 
 def resolve_design(space: DesignSpace, cut: Cut) -> Design:
@@ -112,7 +114,7 @@ def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndar
     return np.asarray(fit.betas, np.float32), remarks
 
 
-_COLUMNS = ("name", "fabric", *(f.name for f in fields(Cut)), *(f.name for f in fields(BodyShape)))
+_COLUMNS = ("name", "fabric", "garment", *(f.name for f in fields(Cut)), *(f.name for f in fields(BodyShape)))
 
 
 def read_requests(path: Path) -> list[Request]:
@@ -154,7 +156,10 @@ def _request(cells: Mapping[str, str], name: str) -> Request:
     )
     betas = tuple(_number("betas", text) for text in cells.get("betas", "").split())
     shape = BodyShape(betas, **{key: _number(key, cells[key]) for key in MEASUREMENTS if key in cells})
-    return Request(name, cut, shape, cells.get("fabric"))
+    mesh = Path(cells["garment"]) if "garment" in cells else None
+    if mesh is not None and cut != Cut():
+        raise ValueError("give either a design or a garment's mesh, not both")
+    return Request(name, cut, shape, cells.get("fabric"), mesh)
 
 
 def _number(name: str, text: str) -> float:

@@ -10,25 +10,20 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import jax
 import numpy as np
 
 from tryon_jax.atomic import write_text
-from tryon_jax.body import shape_body
-from tryon_jax.body.landmarks import load_landmarks
-from tryon_jax.checks import check_choice, check_range
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests, resolve_betas, resolve_design
+from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
+from tryon_jax.commands._studio import Draped, Studio
 from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
-from tryon_jax.fit import Fit, measure_fit
-from tryon_jax.garment import GarmentMesh, remesh
+from tryon_jax.fit import Fit
 from tryon_jax.render import ColorScale, render_picture
 from tryon_jax.render.image import check_picture_path
-from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, load_model, prepare_mesh
+from tryon_jax.tryon import TryOnModel, load_model
 
 
 @dataclass(frozen=True)
@@ -37,6 +32,8 @@ class Config:
 
     cut: Cut = field(default_factory=Cut)
     shape: BodyShape = field(default_factory=BodyShape)
+    garment: Path | None = None
+    """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
     out: Path | None = None
@@ -86,7 +83,7 @@ def main(config: Config) -> None:
     requests, targets = _plan(config)
     with clock.stage("weights"):
         model = _load(config.weights)
-    studio = Studio(model, config, clock)
+    studio = Studio(model, clock, config.triangle_area, config.seed)
     rows = []
     for request, target in zip(requests, targets, strict=True):
         draped = studio.drape(request)
@@ -104,83 +101,6 @@ def main(config: Config) -> None:
 
 
 @dataclass(frozen=True)
-class Draped:
-    """A garment on a body, with what is said about it."""
-
-    body: tuple[np.ndarray, np.ndarray]
-    vertices: np.ndarray
-    mesh: GarmentMesh
-    betas: np.ndarray
-    fit: Fit
-    fabric: str
-    lines: list[str]
-
-    def record(self, request: Request) -> dict[str, Any]:
-        """Everything of the report, for JSON and CSV."""
-        return {
-            "name": request.name,
-            "design": self.mesh.design.as_dict(),
-            "betas": [float(b) for b in self.betas],
-            "fabric": self.fabric,
-            "vertices": len(self.vertices),
-            **self.fit.as_dict(),
-        }
-
-
-class Studio:
-    """A model with the garments that it has prepared; one compiled drape serves all of one size."""
-
-    def __init__(self, model: TryOnModel, config: Config, clock: Clock) -> None:
-        self.model = model
-        self.config = config
-        self.clock = clock
-        self.space = config_space(model.config)
-        self._prepared: dict[tuple[float, ...], tuple[GarmentMesh, Garment]] = {}
-        self._drape = jax.jit(drape, static_argnames="fabric")
-
-    @cached_property
-    def landmarks(self):
-        """Where tapes are laid on the model's body."""
-        return load_landmarks(self.model.body)
-
-    def drape(self, request: Request) -> Draped:
-        """Carry out one request; raises `ValueError` where it makes no sense."""
-        model = self.model
-        fabric = check_choice("fabric", request.fabric or model.config.fabrics[0], model.config.fabrics)
-        with self.clock.stage("body"):
-            betas, remarks = resolve_betas(model.body, request.shape, model.config.num_betas)
-            body_vertices, _ = shape_body(model.body, betas)
-        mesh, garment = self._prepare(request.cut)
-        with self.clock.stage("drape"):
-            padded = self._drape(model, garment, betas, fabric=fabric)
-            vertices = garment.unpad(padded)
-        with self.clock.stage("fit"):
-            faces = np.asarray(model.body.faces)
-            fit = measure_fit(body_vertices, faces, self.landmarks, vertices, mesh.faces, mesh.uv, mesh.faces_uv)
-        lines = [
-            f"design   {mesh.design}",
-            f"fabric   {fabric}; {len(vertices)} vertices, {len(mesh.faces)} faces",
-            *remarks,
-            *fit.lines(),
-        ]
-        return Draped((np.asarray(body_vertices), faces), vertices, mesh, betas, fit, fabric, lines)
-
-    def _prepare(self, cut: Cut) -> tuple[GarmentMesh, Garment]:
-        design = resolve_design(self.space, cut)
-        key = tuple(float(v) for v in design.values)
-        if key not in self._prepared:
-            area = self.model.config.target_area
-            if self.config.triangle_area is not None:
-                area = 1e-4 * check_range("triangle area", self.config.triangle_area, 0.1, 30.0, "cm^2")
-            with self.clock.stage("pattern and mesh"):
-                mesh = remesh(self.space, design, area, seed=self.config.seed)
-            with self.clock.stage("graph"):
-                self._prepared[key] = mesh, prepare_mesh(self.model, mesh)
-        mesh, garment = self._prepared[key]
-        return replace(mesh, design=design), garment
-
-
-@dataclass(frozen=True)
 class Target:
     """The files of one garment."""
 
@@ -193,7 +113,7 @@ class Target:
         colors = None if config.map is None else _SCALES[config.map].colors(_map_values(config.map, draped.fit))
         if self.mesh is not None:
             with clock.stage("mesh file"):
-                mesh = draped.mesh
+                mesh = draped.prepared
                 body = mesh_part("body", *draped.body, material=SKIN)
                 garment = mesh_part(
                     "garment",
@@ -211,7 +131,7 @@ class Target:
                 render_picture(
                     self.picture,
                     draped.body,
-                    (draped.vertices, draped.mesh.faces),
+                    (draped.vertices, draped.prepared.faces),
                     views=[float(v) if v.lstrip("-").isdigit() else v for v in config.views],
                     height=config.height,
                     **options,
@@ -237,13 +157,15 @@ def _plan(config: Config) -> tuple[list[Request], list[Target]]:
             check_suffix(config.out)
         if config.picture is not None:
             check_picture_path(config.picture)
-        request = Request("garment", config.cut, config.shape, config.fabric)
+        if config.garment is not None and config.cut != Cut():
+            raise ValueError("give either a design or --garment, not both")
+        request = Request("garment", config.cut, config.shape, config.fabric, config.garment)
         return [request], [Target(config.out, config.picture, config.report)]
     for name in ("picture", "report"):
         if getattr(config, name) is not None:
             raise ValueError(f"--{name} is for one garment; with --batch use --out DIRECTORY and --pictures")
-    if config.cut != Cut() or config.shape != BodyShape():
-        raise ValueError("with --batch, design and body shape are columns of the CSV file and no options")
+    if config.cut != Cut() or config.shape != BodyShape() or config.garment is not None:
+        raise ValueError("with --batch, garment and body shape are columns of the CSV file and no options")
     if config.out is None:
         raise ValueError("--batch needs --out DIRECTORY for its results")
     if config.out.suffix.lower() in WRITERS or config.out.is_file():

@@ -1,0 +1,147 @@
+"""Carry out requests: prepare garments, drape them, measure the fit. Shared by the commands that drape."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from tryon_jax.body import shape_body
+from tryon_jax.body.landmarks import Landmarks, load_landmarks
+from tryon_jax.checks import check_choice, check_range
+from tryon_jax.commands._clock import Clock
+from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_design
+from tryon_jax.fit import Fit, measure_fit, pattern_of
+from tryon_jax.garment import Design, remesh
+from tryon_jax.graph.build import build_graph
+from tryon_jax.graph.smoothing import make_smoother
+from tryon_jax.mesh.repair import load_garment
+from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A garment that is ready to drape, with its pattern."""
+
+    garment: Garment
+    faces: Int[np.ndarray, "F 3"]
+    uv: Float[np.ndarray, "U 2"]
+    """Metres."""
+    faces_uv: Int[np.ndarray, "F 3"]
+    label: str
+    """What it is, in words."""
+    remarks: tuple[str, ...] = ()
+    design: Design | None = None
+    """None for a mesh of the user's own."""
+
+
+@dataclass(frozen=True)
+class Draped:
+    """A garment on a body, with what is said about it."""
+
+    body: tuple[np.ndarray, np.ndarray]
+    """Vertices, metres, and faces."""
+    vertices: Float[np.ndarray, "V 3"]
+    """The garment's, metres."""
+    prepared: Prepared
+    betas: Float[np.ndarray, " b"]
+    fit: Fit
+    fabric: str
+    lines: list[str]
+    """The report in words."""
+
+    def record(self, request: Request) -> dict[str, Any]:
+        """Everything of the report, for JSON and CSV."""
+        design = self.prepared.design
+        return {
+            "name": request.name,
+            "garment": self.prepared.label,
+            "design": {} if design is None else design.as_dict(),
+            "betas": [float(b) for b in self.betas],
+            "fabric": self.fabric,
+            "vertices": len(self.vertices),
+            **self.fit.as_dict(),
+        }
+
+
+class Studio:
+    """A model with the garments that it has prepared; one compiled drape serves all of one size.
+
+    `triangle_area` is the mean area of the cloth's triangles in square centimetres, None for what the networks were
+    trained on; another `seed` gives other meshes of the same garments.
+    """
+
+    def __init__(self, model: TryOnModel, clock: Clock, triangle_area: float | None = None, seed: int = 0) -> None:
+        self.model = model
+        self.clock = clock
+        self.seed = seed
+        self.space = config_space(model.config)
+        self.area = model.config.target_area
+        if triangle_area is not None:
+            self.area = 1e-4 * check_range("triangle area", triangle_area, 0.1, 30.0, "cm^2")
+        self._prepared: dict[tuple[float, ...] | Path, Prepared] = {}
+        self._drape = jax.jit(drape, static_argnames="fabric")
+
+    @cached_property
+    def landmarks(self) -> Landmarks:
+        """Where tapes are laid on the model's body."""
+        return load_landmarks(self.model.body)
+
+    def drape(self, request: Request) -> Draped:
+        """Carry out one request; raises `ValueError` where it makes no sense."""
+        model = self.model
+        fabric = check_choice("fabric", request.fabric or model.config.fabrics[0], model.config.fabrics)
+        with self.clock.stage("body"):
+            betas, remarks = resolve_betas(model.body, request.shape, model.config.num_betas)
+            body_vertices, _ = shape_body(model.body, betas)
+        prepared = self.prepare(request.cut) if request.mesh is None else self.prepare_own(request.mesh)
+        with self.clock.stage("drape"):
+            padded = self._drape(model, prepared.garment, betas, fabric=fabric)
+            vertices = prepared.garment.unpad(padded)
+        with self.clock.stage("fit"):
+            faces = np.asarray(model.body.faces)
+            pattern = (prepared.faces, prepared.uv, prepared.faces_uv)
+            fit = measure_fit(body_vertices, faces, self.landmarks, vertices, *pattern)
+        lines = [
+            f"garment  {prepared.label}; {len(vertices)} vertices, {len(prepared.faces)} triangles",
+            *prepared.remarks,
+            f"fabric   {fabric}",
+            *remarks,
+            *fit.lines(),
+        ]
+        return Draped((np.asarray(body_vertices), faces), vertices, prepared, betas, fit, fabric, lines)
+
+    def prepare(self, cut: Cut) -> Prepared:
+        """The garment of a design, made once for each."""
+        design = resolve_design(self.space, cut)
+        key = tuple(float(v) for v in design.values)
+        if key not in self._prepared:
+            with self.clock.stage("pattern and mesh"):
+                mesh = remesh(self.space, design, self.area, seed=self.seed)
+            with self.clock.stage("graph"):
+                garment = prepare_mesh(self.model, mesh)
+            self._prepared[key] = Prepared(garment, mesh.faces, mesh.uv, mesh.faces_uv, str(design), (), design)
+        return replace(self._prepared[key], label=str(design), design=design)
+
+    def prepare_own(self, path: Path) -> Prepared:
+        """A garment from a mesh file, which is taken to lie on the mean body as it is to be worn."""
+        if path not in self._prepared:
+            with self.clock.stage("mesh"):
+                loaded = load_garment(path)
+                piece = loaded.pieces[0]
+                uv, faces_uv = pattern_of(piece.vertices, piece.faces, piece.uv, piece.faces_uv)
+            remarks = [f"note     {repair}" for repair in loaded.repairs]
+            if len(loaded.pieces) > 1:
+                remarks.append(f"note     only the largest of {len(loaded.pieces)} pieces is draped")
+            model = self.model
+            with self.clock.stage("graph"):
+                options = {"num_levels": model.config.num_levels, "pooling": model.config.pooling}
+                graph = build_graph(piece.vertices, piece.faces, model.body, **options)
+                smoother = make_smoother(piece.vertices, piece.faces, model.config.smoothing_length, graph.num_nodes)
+            self._prepared[path] = Prepared(
+                Garment(graph, smoother), piece.faces, uv, faces_uv, path.name, tuple(remarks)
+            )
+        return self._prepared[path]
