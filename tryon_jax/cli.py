@@ -13,7 +13,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import jax
 import tyro
 
 import tryon_jax
@@ -21,8 +20,6 @@ import tryon_jax
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `tryon` with `argv` (the process's arguments by default) and return the exit code."""
-    if argv is None:
-        _keep_compiled_code()
     return dispatch("tryon", "tryon_jax.commands", argv)
 
 
@@ -50,25 +47,6 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
         print(f"{prog}: error: unknown command {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
         return 2
     return _run(f"{prog} {name}", f"{package}.{name}", rest)
-
-
-def _keep_compiled_code() -> None:
-    """Keep what JAX compiles in the user's cache directory, so that the second run starts in a fraction of the time.
-
-    Only for the program `tryon`: a process that imports the library decides by itself. Nothing is kept where the
-    directory cannot be written, and `JAX_COMPILATION_CACHE_DIR` in the environment has precedence.
-    """
-    if "JAX_COMPILATION_CACHE_DIR" in os.environ:
-        return
-    base = os.environ.get("XDG_CACHE_HOME") or (os.environ.get("LOCALAPPDATA") if os.name == "nt" else None)
-    folder = (Path(base) if base else Path.home() / ".cache") / "tryon_jax"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return
-    if os.access(folder, os.W_OK):
-        jax.config.update("jax_compilation_cache_dir", str(folder))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
 def find_commands(package: str) -> dict[str, str]:
