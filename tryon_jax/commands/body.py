@@ -1,0 +1,85 @@
+"""Shape a body from betas or from measurements: a mesh, a picture, and its measurements.
+
+tryon body --betas 1 -0.5 --out body.glb --picture body.png
+tryon body --stature 1.72 --chest 0.96
+tryon body --body male --stature 1.85 --waist 0.84 --report body.json
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from tryon_jax.atomic import write_text
+from tryon_jax.body import load_body, load_smpl, shape_body
+from tryon_jax.body.landmarks import load_landmarks
+from tryon_jax.body.measurements import MEASUREMENTS, measure_vertices
+from tryon_jax.commands._request import BodyShape, resolve_betas
+from tryon_jax.export import SKIN, check_suffix, mesh_part, write_mesh
+from tryon_jax.render import render_picture
+from tryon_jax.render.image import check_picture_path
+from tryon_jax.types import Body
+
+
+@dataclass(frozen=True)
+class Config:
+    """Options of `tryon body`."""
+
+    shape: BodyShape = field(default_factory=BodyShape)
+    body: str = "female"
+    """Embedded body: female, male or neutral."""
+    smpl: Path | None = None
+    """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to take in place of an embedded body."""
+    out: Path | None = None
+    """Mesh file to write: .glb, .obj, .ply or .npz."""
+    picture: Path | None = None
+    """Picture to write: .png, .jpg or .webp."""
+    views: tuple[str, ...] = ("front", "side", "back")
+    """Views of the picture: front, three-quarter, side, back, or degrees."""
+    height: int = 900
+    """Height of the picture, pixels."""
+    report: Path | None = None
+    """JSON file for betas and measurements."""
+
+
+def main(config: Config) -> None:
+    """Shape the body, write the files, and print its measurements."""
+    if config.out is not None:
+        check_suffix(config.out)
+    if config.picture is not None:
+        check_picture_path(config.picture)
+    body = load_body(config.body) if config.smpl is None else load_smpl(config.smpl)
+    betas, remarks = resolve_betas(body, config.shape, body.num_betas)
+    vertices = np.asarray(shape_body(body, betas)[0])
+    measured = {key: float(value) for key, value in measure_vertices(vertices, load_landmarks(body)).items()}
+    for line in describe(body, betas, remarks, measured, config.shape.measurements()):
+        print(line)
+    faces = np.asarray(body.faces)
+    if config.out is not None:
+        write_mesh(config.out, [mesh_part("body", vertices, faces, material=SKIN)])
+    if config.picture is not None:
+        views = [float(view) if view.lstrip("-").isdigit() else view for view in config.views]
+        render_picture(config.picture, (vertices, faces), views=views, height=config.height)
+    if config.report is not None:
+        record = {"body": body.name, "betas": [float(beta) for beta in betas], "measurements": measured}
+        write_text(config.report, json.dumps(record, indent=2) + "\n")
+    for path in (config.out, config.picture, config.report):
+        if path is not None:
+            print(f"wrote    {path}")
+
+
+def describe(
+    body: Body, betas: np.ndarray, remarks: list[str], measured: dict[str, float], asked: dict[str, float]
+) -> list[str]:
+    """The body in words: its size, its betas, each measurement and how far it is from the one asked for."""
+    lines = [f"body     {body.name}; {len(body.v_template)} vertices, {len(body.faces)} faces"]
+    lines += remarks or ["betas    " + " ".join(f"{beta:+.2f}" for beta in betas)]
+    for name in MEASUREMENTS:
+        miss = (
+            f"  (asked {asked[name]:.3f} m, off {1e3 * (measured[name] - asked[name]):+.1f} mm)"
+            if name in asked
+            else ""
+        )
+        lines.append(f"         {name:<14} {measured[name]:.3f} m{miss}")
+    return lines
