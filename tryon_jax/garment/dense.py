@@ -8,6 +8,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Float, Int
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -50,7 +51,7 @@ class _DensePanel:
     corners: np.ndarray
     weights: np.ndarray
     inner: SuperLU
-    border: np.ndarray
+    border: sp.csr_matrix
 
 
 @functools.cache
@@ -63,7 +64,7 @@ def _dense_reference(layout: Layout, num_vertices: int) -> tuple[dict[str, int],
     outlines = [sample_outline(panel, drawn, counts) for panel in layout.panels]
     inner = num_vertices - count_outline_vertices(layout, outlines)
     if inner < 0:
-        raise ValueError(f"a dense template of {num_vertices} vertices is too small; the template has {len(drawn)}")
+        raise ValueError(f"a dense template of {num_vertices} vertices is too small: its outlines alone have more")
     shares = np.array([len(p) for p in template.points], float)
     split = np.floor(inner * shares / shares.sum()).astype(int)
     split[0] += inner - split.sum()

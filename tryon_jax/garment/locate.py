@@ -19,7 +19,7 @@ def barycentric(
     """Barycentric weights of points in triangles in the plane; they sum to 1, negative outside."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
 
-    def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray | np.float64:
         return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
 
     area = cross(b - a, c - a)

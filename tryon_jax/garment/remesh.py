@@ -19,8 +19,8 @@ TARGET_AREA = 1.78e-4
 MAX_DISTORTION = 2.5
 """Default bound on the distortion of any triangle."""
 
-SMALLEST_SHARE, LARGEST_SHARE = 2e-6, 0.004
-"""Range of a triangle's area as a share of the pattern's: half a million down to 250 triangles."""
+SMALLEST_SHARE, LARGEST_SHARE = 2e-6, 0.01
+"""Range of a triangle's area as a share of the pattern's: half a million down to 100 triangles."""
 
 
 def remesh(
@@ -41,7 +41,7 @@ def remesh(
         space: the design space.
         design: a design in it.
         target_area: T_area, square metres. At 1.78e-4 the training designs have 1.4 to 3.6 thousand vertices.
-        max_distortion: T_dist, at least 1.6.
+        max_distortion: T_dist, at least 1.2.
         seed: another seed gives another topology with the same number of triangles, hence the same mean area.
 
     Returns:
@@ -55,7 +55,8 @@ def remesh(
     total = sum(polygon_area(layout.panel_outline(panel, drawn)) for panel in layout.panels)
     area = float(check_finite("target_area", target_area))
     check_range("target_area", area, SMALLEST_SHARE * total, LARGEST_SHARE * total, "m^2")
-    check_range("max_distortion", max_distortion, 1.6, 1e3)
+    check_range("max_distortion", max_distortion, 1.2, 1e3)
+    check_range("seed", seed, 0, 2**63)
     counts = edge_counts(layout, drawn, edge_length(area))
     outlines = [sample_outline(panel, drawn, counts) for panel in layout.panels]
     points, faces = [], []
