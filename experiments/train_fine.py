@@ -1,0 +1,29 @@
+"""Train R_fine of each fabric: what the smooth drape lacks."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tryon_jax.nets.store import read_record
+from tryon_jax.training.dataset import default_root, read_config
+from tryon_jax.training.recipes import StageOptions, fit_fine, model_path
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where from, where to, and how; a stopped run continues."""
+
+    data: Path = field(default_factory=default_root)
+    """Folder of the simulated dataset."""
+    run: Path = Path("runs/small")
+    """Folder of the run, with R_smooth trained."""
+    fabrics: tuple[str, ...] = ()
+    """Fabrics to train; all of the dataset's when left out."""
+    stage: StageOptions = field(default_factory=StageOptions)
+
+
+def main(config: Config) -> None:
+    """Train one fabric after the other and report the validation errors."""
+    for fabric in config.fabrics or read_config(config.data).fabrics:
+        fit_fine(config.data, config.run, fabric, config.stage)
+        record = read_record(model_path(config.run))["training"][f"fine-{fabric}"]
+        print(f"R_fine {fabric}: {record['validation_mm']:.2f} mm on validation shapes, {record['seconds']} s")

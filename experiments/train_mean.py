@@ -1,0 +1,46 @@
+"""Train R_mean: design parameters to the template's drape on the mean body."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from tryon_jax.nets.config import load_config
+from tryon_jax.nets.store import read_record
+from tryon_jax.training.dataset import default_root, read_config
+from tryon_jax.training.mean import MeanTraining
+from tryon_jax.training.recipes import fit_mean, model_path
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where from, where to, and how."""
+
+    data: Path = field(default_factory=default_root)
+    """Folder of the simulated dataset."""
+    run: Path = Path("runs/small")
+    """Folder of the run; the model is run/model.safetensors."""
+    size: Literal["small", "paper"] = "small"
+    """Configuration of the networks."""
+    reference: Literal["smoothed", "paper"] = "smoothed"
+    """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
+    mean: MeanTraining = field(default_factory=MeanTraining)
+
+
+def main(config: Config) -> None:
+    """Train and report the error on held-out designs."""
+    dataset = read_config(config.data)
+    network = load_config(
+        config.size,
+        body=dataset.body,
+        layout=dataset.layout,
+        fabrics=dataset.fabrics,
+        num_betas=dataset.num_betas,
+        target_area=dataset.target_area,
+        reference=config.reference,
+    )
+    fit_mean(config.data, config.run, network, config.mean)
+    record = read_record(model_path(config.run))["training"]["mean"]
+    print(
+        f"R_mean: {record['validation_mm']:.2f} mm on held-out designs, {record['training_mm']:.2f} mm on all "
+        f"{record['designs']} (mean over template vertices)"
+    )

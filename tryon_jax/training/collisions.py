@@ -1,0 +1,172 @@
+"""Self-supervised fine-tuning of R_fine: random bodies, designs and topologies, no simulation (section 4.4).
+
+The paper minimises the collision loss alone. That also rewards inflating the garment, so an anchor holds the
+predictions to those of the starting weights where nothing collides; `anchor=0` is the paper's pure loss.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from scipy.spatial import cKDTree
+from scipy.stats import qmc
+from tqdm import tqdm
+
+from tryon_jax.body import shape_body, vertex_normals
+from tryon_jax.collision import climb_to_nearest, collision_depths, collision_loss, vertex_rings
+from tryon_jax.garment import Design, remesh
+from tryon_jax.nets.unet import UNet
+from tryon_jax.training.garments import TRAINING_BUCKETS
+from tryon_jax.training.loop import LoopOptions
+from tryon_jax.training.protocol import EXTENT
+from tryon_jax.training.stages import predict_fine, predict_smooth
+from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
+from tryon_jax.types import pytree
+
+
+@dataclass(frozen=True)
+class CollisionOptions:
+    """Options of the collision step."""
+
+    loop: LoopOptions = field(
+        default_factory=lambda: LoopOptions(steps=600, learning_rate=3e-4, evaluate_every=100, weight_decay=0.0)
+    )
+    pool: int = 32
+    """Garments of random design and topology that are trained on."""
+    held_out: int = 8
+    """Garments of other random designs and topologies that choose the weights."""
+    garments: int = 1
+    """Garments in a batch."""
+    shapes: int = 8
+    """Random body shapes of each."""
+    margin: float = 2e-3
+    """Clearance asked for, metres."""
+    anchor: float = 0.5
+    """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
+    seed: int = 0
+
+
+@pytree
+class PooledGarment:
+    """A prepared garment and the closest vertex of the mean body to each of its vertices."""
+
+    garment: Garment
+    nearest: Int[Array, "*batch N"]
+
+
+@pytree
+class CollisionBatch:
+    """G garments of one bucket, B random shapes each."""
+
+    pooled: PooledGarment
+    betas: Float[Array, "G B b"]
+
+
+def random_betas(rng: np.random.Generator, count: int, num_betas: int) -> Float[np.ndarray, "N b"]:
+    """Shapes spread evenly over the ellipse that the dataset covers (over the interval for one beta)."""
+    direction = rng.normal(size=(count, num_betas))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    radius = rng.random((count, 1)) ** (1 / num_betas)
+    return (direction * radius * np.array(EXTENT[:num_betas])[None]).astype(np.float32)
+
+
+def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
+    """Garments of random designs, each with its own random topology."""
+    space = config_space(model.config)
+    tree = cKDTree(np.asarray(model.body.v_template))
+    size = 1 << max(1, int(np.ceil(np.log2(count))))
+    unit = qmc.Sobol(len(space.names), seed=seed).random(size)[:count]
+    pool = []
+    for k, row in enumerate(tqdm(unit, desc="garments", mininterval=2)):
+        values = space.minimum + row * (space.maximum - space.minimum)
+        pool.append(pool_garment(model, space.from_values(values), 1000 * (seed + 1) + k, tree))
+    return pool
+
+
+def pool_garment(model: TryOnModel, design: Design, topology: int, tree: cKDTree) -> PooledGarment:
+    """One garment of a pool; `tree` holds the mean body's vertices."""
+    mesh = remesh(config_space(model.config), design, model.config.target_area, seed=topology)
+    bucket = next((b for b in TRAINING_BUCKETS if b >= mesh.num_vertices), None)
+    garment = prepare_mesh(model, mesh, bucket=bucket)
+    nearest = tree.query(np.asarray(garment.graph.vertices))[1].astype(np.int32)
+    return PooledGarment(garment, nearest)
+
+
+class CollisionTask:
+    """The loss and the measure of one fabric's collision step, for one model."""
+
+    def __init__(self, model: TryOnModel, fabric: str, options: CollisionOptions) -> None:
+        self.model, self.fabric, self.options = model, fabric, options
+        self.start = model.fine[fabric]
+        self.rings = vertex_rings(np.asarray(model.body.faces), len(model.body.v_template))
+        self._count = jax.jit(lambda net, pooled, betas: self._inside(net, pooled, betas))
+
+    def body(self, betas: Float[Array, " b"]) -> tuple[Float[Array, "W 3"], Float[Array, "W 3"]]:
+        """Vertices and normals of the body."""
+        vertices = shape_body(self.model.body, betas)[0]
+        return vertices, vertex_normals(vertices, self.model.body.faces)
+
+    def loss(self, net: UNet, batch: CollisionBatch) -> Float[Array, ""]:
+        """Collision loss over the margin, plus the anchor."""
+        return jax.vmap(lambda p, b: self._garment_loss(net, p, b))(batch.pooled, batch.betas).mean()
+
+    def _garment_loss(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, ""]:
+        config, options = self.model.config, self.options
+        garment, mask = pooled.garment, jnp.asarray(pooled.garment.graph.mask)
+        smooth = predict_smooth(config, self.model.smooth, garment, betas)
+        fine = predict_fine(config, Stage(net, self.start.scale), garment, betas, smooth)
+        anchor = jnp.zeros(())
+        if options.anchor:
+            before = predict_fine(config, self.start, garment, betas, smooth)
+            moved = jnp.where(mask[None, :, None], fine - before, 0.0) / options.margin
+            anchor = options.anchor * (moved * moved).sum() / (mask.sum() * len(betas))
+
+        def one(vertices, beta):
+            skin, normals = self.body(beta)
+            nearest = climb_to_nearest(jax.lax.stop_gradient(vertices), pooled.nearest, skin, self.rings)
+            return collision_loss(vertices, mask, nearest, skin, normals, options.margin)
+
+        return jax.vmap(one)(fine, betas).mean() / options.margin * 100 + anchor
+
+    def _inside(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
+        config, garment = self.model.config, pooled.garment
+        smooth = predict_smooth(config, self.model.smooth, garment, betas)
+        fine = predict_fine(config, Stage(net, self.start.scale), garment, betas, smooth)
+        mask = jnp.asarray(garment.graph.mask)
+
+        def one(vertices, beta):
+            skin, normals = self.body(beta)
+            nearest = climb_to_nearest(vertices, pooled.nearest, skin, self.rings)
+            depth = collision_depths(vertices, nearest, skin, normals)
+            return ((depth > 0) & mask).sum() / mask.sum()
+
+        return jax.vmap(one)(fine, betas)
+
+    def inside_share(self, net: UNet, pool: Sequence[PooledGarment], seed: int) -> float:
+        """Share of vertices behind their closest body vertex, over a pool and fixed random shapes."""
+        rng = np.random.default_rng(seed)
+        shares = []
+        for pooled in pool:
+            betas = random_betas(rng, self.options.shapes, self.model.config.num_betas)
+            shares.append(np.asarray(self._count(net, pooled, betas)).mean())
+        return float(np.mean(shares))
+
+
+def draw_collisions(
+    pool: Sequence[PooledGarment], options: CollisionOptions, num_betas: int, rng: np.random.Generator
+) -> CollisionBatch:
+    """A batch of garments that share a bucket, with random shapes."""
+    first = pool[rng.integers(len(pool))]
+    group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
+    chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
+    betas = np.stack([random_betas(rng, options.shapes, num_betas) for _ in chosen])
+    pooled = PooledGarment(stack_garments([p.garment for p in chosen]), np.stack([p.nearest for p in chosen]))
+    return CollisionBatch(pooled, betas)
+
+
+def with_fine(model: TryOnModel, fabric: str, stage: Stage) -> TryOnModel:
+    """The model with another R_fine for one fabric."""
+    return replace(model, fine={**model.fine, fabric: stage})

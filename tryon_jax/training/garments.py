@@ -1,0 +1,132 @@
+"""Training samples in memory: prepared garments with their simulated drapes, split enforced when they are read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from tryon_jax.garment.manifest import Manifest
+from tryon_jax.graph.build import build_graph
+from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
+from tryon_jax.nets.mlp import apply_mean_drape
+from tryon_jax.training.dataset import STATISTICS, is_good, load_arrays, mean_path, mesh_path
+from tryon_jax.tryon import Garment, TryOnModel
+
+TRAINING_BUCKETS = (2048, 2816, 3584)
+"""Sizes that training garments are padded to; fewer than `prepare` has, since each costs a compilation."""
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedGarment:
+    """One garment mesh with all its kept drapes, padded to the graph's bucket."""
+
+    name: str
+    garment: Garment
+    betas: Float[np.ndarray, "S b"]
+    """Body shape of each sample."""
+    test: Bool[np.ndarray, " S"]
+    """True for shapes that are only for testing."""
+    drapes: dict[str, Float[np.ndarray, "S N 3"]]
+    """Simulated vertices by fabric, metres; zero where not good and at padding."""
+    good: dict[str, Bool[np.ndarray, " S"]]
+    """Which samples the rules keep."""
+    target: Float[np.ndarray, "S N 3"]
+    """Smoothed and averaged over the fabrics whose sample is good: what M_smooth is to be."""
+    usable: Bool[np.ndarray, " S"]
+    """Samples with at least one good fabric."""
+
+    @property
+    def label(self) -> str:
+        """The design's label."""
+        return self.name.rsplit("-", 1)[0]
+
+    @property
+    def seed(self) -> int:
+        """The topology's seed."""
+        return int(self.name.rsplit("-", 1)[1])
+
+
+_smooth = jax.jit(smooth)
+
+
+def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
+    """The garment of a stored mesh with M̄ = W · R_mean(p)."""
+    mesh = load_arrays(mesh_path(root, name))
+    template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(mesh["design"], jnp.float32)))
+    vertices = np.einsum("vk,vkc->vc", mesh["template_weights"], template[mesh["template_vertices"]])
+    config = model.config
+    graph = build_graph(
+        vertices,
+        mesh["faces"],
+        model.body,
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        bucket=next((b for b in TRAINING_BUCKETS if b >= len(vertices)), None),
+    )
+    size, count = graph.num_nodes, len(vertices)
+    template_vertices, template_weights = np.zeros((size, 3), np.int32), np.zeros((size, 3), np.float32)
+    template_vertices[:count], template_weights[:count] = mesh["template_vertices"], mesh["template_weights"]
+    smoother = make_smoother(vertices, mesh["faces"], config.smoothing_length, size)
+    return Garment(graph, smoother, mesh["design"].astype(np.float32), template_vertices, template_weights)
+
+
+def load_simulated(
+    model: TryOnModel, root: Path, name: str, fabrics: Sequence[str], garment: Garment | None = None
+) -> SimulatedGarment:
+    """A garment with every drape that the dataset holds of it, test shapes included and marked."""
+    garment = garment or prepare_simulated(model, root, name)
+    tables = {fabric: _samples(root, name, fabric) for fabric in fabrics}
+    keys = sorted(set.union(*[set(table) for table in tables.values()]))
+    size, count = garment.graph.num_nodes, garment.num_vertices
+    betas = np.array(keys, np.float32)
+    drapes, good = {}, {}
+    for fabric, table in tables.items():
+        stacked = np.zeros((len(keys), size, 3), np.float32)
+        keep = np.zeros(len(keys), bool)
+        for i, key in enumerate(keys):
+            if key in table and table[key][2]:
+                stacked[i, :count], keep[i] = table[key][0], True
+        drapes[fabric], good[fabric] = stacked, keep
+    test = np.array([next(t[key][1] for t in tables.values() if key in t) for key in keys])
+    number = np.sum([good[f] for f in fabrics], axis=0)
+    total = np.sum([drapes[f] * good[f][:, None, None] for f in fabrics], axis=0)
+    average = total / np.maximum(number, 1)[:, None, None]
+    target = _smooth_all(garment.smoother, average)
+    return SimulatedGarment(name, garment, betas, test, drapes, good, target, number > 0)
+
+
+def _smooth_all(smoother: HeatSmoother, samples: np.ndarray) -> np.ndarray:
+    # Smoothing is linear: the smoothed average is the average of the smoothed.
+    columns = np.moveaxis(samples, 0, 1)
+    return np.moveaxis(np.asarray(_smooth(smoother, jnp.asarray(columns))), 1, 0).copy()
+
+
+def _samples(root: Path, name: str, fabric: str) -> dict[tuple[float, ...], tuple[np.ndarray, bool, bool]]:
+    """Vertices, test flag and goodness by betas; the mean body belongs to training."""
+    path = mean_path(root, name, fabric)
+    if not path.exists():
+        raise FileNotFoundError(f"dataset {str(root)!r} has no drape of {name} in {fabric} on the mean body")
+    mean = load_arrays(path)
+    rays = [load_arrays(p) for p in sorted((root / "rays").glob(f"{name}_{fabric}_*.npz"))]
+    width = rays[0]["betas"].shape[1] if rays else 2
+    table = {(0.0,) * width: (mean["vertices"], False, bool(is_good({k: mean[k] for k in STATISTICS})))}
+    for ray in rays:
+        keep = is_good({k: ray[k] for k in STATISTICS})
+        for i, betas in enumerate(np.round(ray["betas"], 6)):
+            table[tuple(map(float, betas))] = (ray["vertices"][i], bool(ray["test"][i]), bool(keep[i]))
+    return table
+
+
+def training_shapes(samples: SimulatedGarment, manifest: Manifest) -> Bool[np.ndarray, " S"]:
+    """Which samples a training loop may see.
+
+    Raises:
+        PermissionError: the garment's design or topology is for testing.
+    """
+    if manifest.split(samples.label, samples.seed) != "training":
+        raise PermissionError(f"{samples.name} is a test garment: it may not be trained on")
+    return samples.usable & ~samples.test

@@ -1,0 +1,175 @@
+"""One resumable optimisation loop for every network: atomic checkpoints, curves, the best weights kept.
+
+Batches are drawn by step number, so a run that was stopped and resumed sees what an unbroken one would have seen.
+"""
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from tqdm import tqdm
+
+from tryon_jax.atomic import write_text
+from tryon_jax.training.dataset import load_arrays, save_arrays
+
+Params = Any
+Batch = Any
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """How long and how fast; the same for all stages."""
+
+    steps: int = 8000
+    """Optimiser steps in all."""
+    learning_rate: float = 2e-3
+    """At the start of a cosine decay to 2 %, after a short warm-up."""
+    warmup: int = 50
+    weight_decay: float = 1e-5
+    """ℓ² regularisation of the weights (decoupled, as in AdamW)."""
+    clip: float = 1.0
+    """Bound on the gradient's global norm."""
+    evaluate_every: int = 500
+    patience: int = 0
+    """Stop after so many evaluations without a new best; 0 never stops early."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LoopResult:
+    """What a loop ends with."""
+
+    params: Params
+    """Weights with the smallest validation error."""
+    curve: list[dict[str, float]]
+    """One row for each evaluation."""
+    seconds: float
+    """Time spent in all runs together."""
+
+
+def train_loop(
+    params: Params,
+    loss: Callable[[Params, Batch], jax.Array],
+    draw: Callable[[np.random.Generator], Batch],
+    evaluate: Callable[[Params], float],
+    folder: Path,
+    options: LoopOptions,
+    identity: dict[str, Any],
+    title: str = "training",
+) -> LoopResult:
+    """Minimise `loss` by AdamW.
+
+    Args:
+        params: starting weights.
+        loss: of weights and a batch; compiled once for each shape of batch.
+        draw: makes a batch from a random generator (host side).
+        evaluate: validation error of weights, smaller is better.
+        folder: keeps checkpoint.npz, curve.csv and record.json; a run continues from what lies there.
+        options: see `LoopOptions`.
+        identity: what the run depends on (configuration, dataset checksum); a folder of another run is refused.
+        title: of the progress bar.
+
+    Raises:
+        ValueError: the folder belongs to another run, or the loss became NaN.
+    """
+    schedule = optax.warmup_cosine_decay_schedule(
+        0.0, options.learning_rate, min(options.warmup, options.steps // 2), options.steps, 0.02 * options.learning_rate
+    )
+    optimiser = optax.chain(
+        optax.clip_by_global_norm(options.clip), optax.adamw(schedule, weight_decay=options.weight_decay)
+    )
+
+    @jax.jit
+    def update(params: Params, state: Any, batch: Batch) -> tuple[Params, Any, jax.Array]:
+        value, gradient = jax.value_and_grad(loss)(params, batch)
+        updates, state = optimiser.update(gradient, state, params)
+        return optax.apply_updates(params, updates), state, value
+
+    state = optimiser.init(params)
+    best, curve, done, seconds = params, [], 0, 0.0
+    _check_identity(folder, identity)
+    saved = folder / "checkpoint.npz"
+    if saved.exists():
+        params, state, best, progress = _load(saved, params, state)
+        curve, done, seconds = progress["curve"], progress["step"], progress["seconds"]
+    losses: list[jax.Array] = []
+    began = time.monotonic()
+    with tqdm(total=options.steps, initial=done, desc=title, unit="step", mininterval=2) as bar:
+        while done < options.steps and not _stalled(curve, options.patience):
+            batch = draw(np.random.default_rng((options.seed, done)))
+            params, state, value = update(params, state, batch)
+            losses.append(value)
+            done += 1
+            bar.update()
+            if done % options.evaluate_every and done != options.steps:
+                continue
+            mean_loss = float(np.mean(jax.device_get(losses)))
+            if not np.isfinite(mean_loss):
+                raise ValueError(f"the training loss became {mean_loss} at step {done}; use a smaller learning rate")
+            losses = []
+            error = evaluate(params)
+            if not curve or error < min(row["validation"] for row in curve):
+                best = params
+            total = seconds + time.monotonic() - began
+            curve.append({"step": done, "loss": mean_loss, "validation": error, "seconds": round(total, 1)})
+            bar.set_postfix(loss=f"{mean_loss:.4f}", validation=f"{error:.4f}")
+            _save(saved, params, state, best, {"curve": curve, "step": done, "seconds": total})
+            write_text(folder / "curve.csv", _as_csv(curve))
+    return LoopResult(best, curve, seconds + time.monotonic() - began)
+
+
+def _stalled(curve: list[dict[str, float]], patience: int) -> bool:
+    if not patience or len(curve) <= patience:
+        return False
+    errors = [row["validation"] for row in curve]
+    return min(errors[-patience:]) > min(errors[:-patience])
+
+
+def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
+    path = folder / "record.json"
+    wanted = json.loads(json.dumps(identity))
+    if not path.exists():
+        write_text(path, json.dumps(wanted, indent=2) + "\n")
+    found = json.loads(path.read_text())
+    different = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
+    if different:
+        key = different[0]
+        raise ValueError(
+            f"{str(folder)!r} holds another run: {', '.join(different)} differ "
+            f"({key} = {found.get(key)!r}, asked for {wanted.get(key)!r}); choose another folder or delete it"
+        )
+
+
+def _save(path: Path, params: Params, state: Any, best: Params, progress: dict[str, Any]) -> None:
+    leaves = jax.tree.leaves((params, state, best))
+    arrays = {f"leaf{i:05d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
+    save_arrays(path, arrays | {"progress": json.dumps(progress)})
+
+
+def _load(path: Path, params: Params, state: Any) -> tuple[Params, Any, Params, dict[str, Any]]:
+    arrays = load_arrays(path)
+    old, structure = jax.tree.flatten((params, state, params))
+    names = [f"leaf{i:05d}" for i in range(len(old))]
+    if set(arrays) != {*names, "progress"} or any(
+        arrays[n].shape != np.shape(o) for n, o in zip(names, old, strict=True)
+    ):
+        raise ValueError(f"checkpoint {str(path)!r} is of another network; delete it to start anew")
+    leaves = [jnp.asarray(arrays[name]) for name in names]
+    return *jax.tree.unflatten(structure, leaves), json.loads(str(arrays["progress"]))
+
+
+def _as_csv(curve: list[dict[str, float]]) -> str:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(curve[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(curve)
+    return text.getvalue()

@@ -1,0 +1,112 @@
+"""Training R_mean: from design parameters to the template's drape on the mean body (section 4.1 of the paper)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float
+
+from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape, init_mean_drape
+from tryon_jax.training.dataset import is_good, load_arrays
+
+
+@dataclass(frozen=True)
+class MeanTraining:
+    """Options of R_mean's training."""
+
+    hidden: int = 10
+    """Neurons of the hidden layer; the paper has ten."""
+    steps: int = 6000
+    """Full-batch steps; the weights with the smallest validation error are kept."""
+    learning_rate: float = 0.01
+    weight_decay: float = 1e-5
+    validation_every: int = 6
+    """Each so-many-th design of the sequence is held out to choose the weights by."""
+    seed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class TemplateSamples:
+    """Designs [N, P] and their drapes [N, 403, 3], metres."""
+
+    designs: Float[np.ndarray, "N P"]
+    templates: Float[np.ndarray, "N T 3"]
+
+
+def load_templates(root: Path) -> TemplateSamples:
+    """All good template drapes of a dataset.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    tables = [load_arrays(path) for path in sorted((root / "templates").glob("*.npz"))]
+    kept = [table for table in tables if bool(is_good(table))]
+    if not kept:
+        raise FileNotFoundError(f"no template drapes in {str(root)!r}: run `python -m experiments simulate` first")
+    return TemplateSamples(np.stack([t["design"] for t in kept]), np.stack([t["template"] for t in kept]))
+
+
+def mean_error(net: MeanDrape, samples: TemplateSamples) -> float:
+    """Mean distance of template vertices from their simulated place, metres."""
+    predicted = jax.vmap(apply_mean_drape, (None, 0))(net, jnp.asarray(samples.designs, jnp.float32))
+    return float(np.linalg.norm(np.asarray(predicted) - samples.templates, axis=-1).mean())
+
+
+def train_mean(
+    samples: TemplateSamples,
+    center: Float[np.ndarray, " P"],
+    scale: Float[np.ndarray, " P"],
+    options: MeanTraining,
+) -> tuple[MeanDrape, list[dict[str, float]]]:
+    """Fit R_mean by least squares with weight regularisation.
+
+    Args:
+        samples: training drapes.
+        center, scale: design parameters are normalised as (p − center) / scale.
+
+    Returns:
+        the network and its curve (step, training loss, validation error in millimetres).
+    """
+    held = np.arange(len(samples.designs)) % options.validation_every == options.validation_every - 1
+    train = TemplateSamples(samples.designs[~held], samples.templates[~held])
+    validation = TemplateSamples(samples.designs[held], samples.templates[held]) if held.any() else train
+    template_center = train.templates.mean(axis=0)
+    net = init_mean_drape(
+        jax.random.key(options.seed),
+        jnp.asarray(center, jnp.float32),
+        jnp.asarray(scale, jnp.float32),
+        jnp.asarray(template_center, jnp.float32),
+        float((train.templates - template_center).std()),
+        options.hidden,
+    )
+    optimiser = optax.adam(optax.cosine_decay_schedule(options.learning_rate, options.steps))
+    designs, templates = jnp.asarray(train.designs, jnp.float32), jnp.asarray(train.templates, jnp.float32)
+
+    def loss(mlp, net: MeanDrape) -> Float[Array, ""]:
+        current = MeanDrape(mlp, net.design_center, net.design_scale, net.template_center, net.template_scale)
+        error = (jax.vmap(apply_mean_drape, (None, 0))(current, designs) - templates) / net.template_scale
+        return (error * error).mean() + options.weight_decay * sum((w * w).sum() for w in mlp.weights)
+
+    @jax.jit
+    def many(mlp, state, net):
+        def one(_, carry):
+            mlp, state, _ = carry
+            value, gradient = jax.value_and_grad(loss)(mlp, net)
+            updates, state = optimiser.update(gradient, state)
+            return optax.apply_updates(mlp, updates), state, value
+
+        return jax.lax.fori_loop(0, 100, one, (mlp, state, jnp.zeros(())))
+
+    mlp, state = net.mlp, optimiser.init(net.mlp)
+    best, best_error, curve = net, np.inf, []
+    for done in range(100, options.steps + 1, 100):
+        mlp, state, value = many(mlp, state, net)
+        current = MeanDrape(mlp, net.design_center, net.design_scale, net.template_center, net.template_scale)
+        error = mean_error(current, validation)
+        curve.append({"step": done, "loss": float(value), "validation_mm": 1e3 * error})
+        if error < best_error:
+            best, best_error = current, error
+    return best, curve

@@ -1,0 +1,225 @@
+"""The steps from a simulated dataset to a trained model; each continues from what its folder holds.
+
+RUN/model.safetensors     the model so far: R_mean, then R_smooth, then one R_fine after the other
+RUN/mean/, RUN/smooth/, RUN/fine-<fabric>/      curve.csv, checkpoint.npz, record.json of each stage
+"""
+
+import hashlib
+import json
+import platform
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from tqdm import tqdm
+
+from tryon_jax.atomic import write_text
+from tryon_jax.garment.manifest import Manifest, load_manifest
+from tryon_jax.nets import store
+from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.unet import UNet, count_parameters
+from tryon_jax.training.collisions import (
+    CollisionBatch,
+    CollisionOptions,
+    CollisionTask,
+    draw_collisions,
+    make_pool,
+    with_fine,
+)
+from tryon_jax.training.dataset import read_config
+from tryon_jax.training.garments import SimulatedGarment, load_simulated
+from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
+from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
+from tryon_jax.training.stages import (
+    BatchSource,
+    Predictor,
+    StageSet,
+    displacement_scale,
+    fine_sets,
+    smooth_sets,
+    stage_loss,
+    validation_error,
+)
+from tryon_jax.tryon import Stage, TryOnModel, config_space, init_model, load_model, save_model
+
+
+@dataclass(frozen=True)
+class StageOptions:
+    """Options of R_smooth's and R_fine's training."""
+
+    loop: LoopOptions = field(default_factory=LoopOptions)
+    garments: int = 2
+    """Garments in a batch."""
+    shapes: int = 8
+    """Body shapes of each garment in a batch."""
+
+
+def model_path(run: Path) -> Path:
+    """Where a run keeps its model."""
+    return run / "model.safetensors"
+
+
+def training_names(root: Path, manifest: Manifest) -> list[str]:
+    """Garments of a dataset that may be trained on and whose drapes on the mean body are there."""
+    fabrics = read_config(root).fabrics
+    names = [f"{d.label}-{seed}" for d in manifest.training for seed in manifest.training_seeds]
+    return [n for n in names if all((root / "mean" / f"{n}_{fabric}.npz").exists() for fabric in fabrics)]
+
+
+def dataset_checksum(root: Path, names: Sequence[str]) -> str:
+    """SHA-256 over names and sizes of the files that a training run reads: which samples, not every byte."""
+    digest = hashlib.sha256((root / "config.json").read_bytes())
+    for folder in ("mean", "rays", "templates"):
+        for path in sorted((root / folder).glob("*.npz")):
+            if folder == "templates" or path.name.split("_")[0] in names:
+                digest.update(f"{folder}/{path.name}:{path.stat().st_size}".encode())
+    return digest.hexdigest()
+
+
+def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) -> TryOnModel:
+    """Train R_mean and start the run's model."""
+    samples = load_templates(root)
+    space = config_space(config)
+    center, scale = np.asarray(space.mean), 0.5 * (np.asarray(space.maximum) - np.asarray(space.minimum))
+    net, curve = train_mean(samples, center, scale, options)
+    model = replace(init_model(jax.random.key(options.seed), config), mean=net)
+    best = min(row["validation_mm"] for row in curve)
+    record = {
+        "designs": len(samples.designs),
+        "validation_mm": best,
+        "training_mm": 1e3 * mean_error(net, samples),
+        "options": asdict(options),
+    }
+    write_text(run / "mean" / "curve.json", json.dumps({"curve": curve, **record}, indent=1) + "\n")
+    save_model(model_path(run), model, {"mean": record, "platform": _platform()})
+    return model
+
+
+def load_samples(model: TryOnModel, root: Path, names: Sequence[str]) -> list[SimulatedGarment]:
+    """Garments with their drapes, prepared for the model."""
+    fabrics = read_config(root).fabrics
+    return [load_simulated(model, root, name, fabrics) for name in tqdm(names, desc="garments", mininterval=2)]
+
+
+def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
+    """Train R_smooth of a run whose R_mean is trained."""
+    model = load_model(model_path(run))
+    manifest = load_manifest()
+    names = training_names(root, manifest)
+    sets = smooth_sets(load_samples(model, root, names), manifest)
+    stage, result = _fit(model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names))
+    model = replace(model, smooth=stage)
+    _save(run, model, "smooth", result, options, sets)
+    return model
+
+
+def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOnModel:
+    """Train one fabric's R_fine of a run whose R_smooth is trained."""
+    model = load_model(model_path(run))
+    manifest = load_manifest()
+    names = training_names(root, manifest)
+    samples = load_samples(model, root, names)
+    predictor = Predictor(model.config, "smooth")
+    smooth_vertices = [
+        predictor(model.smooth, s.garment, s.betas) for s in tqdm(samples, desc="M_smooth", mininterval=2)
+    ]
+    sets = fine_sets(samples, manifest, fabric, smooth_vertices)
+    folder = run / f"fine-{fabric}"
+    stage, result = _fit(model, "fine", model.fine[fabric], sets, folder, options, dataset_checksum(root, names))
+    # Another process may have finished another fabric meanwhile.
+    model = load_model(model_path(run))
+    model = replace(model, fine={**model.fine, fabric: stage})
+    _save(run, model, f"fine-{fabric}", result, options, sets)
+    return model
+
+
+def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnModel:
+    """Fine-tune one fabric's R_fine against collisions; R_smooth and R_fine must be trained. No simulation is read."""
+    model = load_model(model_path(run))
+    task = CollisionTask(model, fabric, options)
+    pool = make_pool(model, options.pool, options.seed)
+    held = make_pool(model, options.held_out, options.seed + 1)
+    folder = run / f"collisions-{fabric}"
+
+    def draw(rng: np.random.Generator) -> CollisionBatch:
+        return draw_collisions(pool, options, model.config.num_betas, rng)
+
+    def evaluate(net: UNet) -> float:
+        return 100 * task.inside_share(net, held, options.seed)
+
+    training = store.read_record(model_path(run)).get("training", {})
+    identity = {
+        "stage": "collisions",
+        "fabric": fabric,
+        "options": asdict(options),
+        "config": store.config_record(model.config),
+        "before": training.get(f"fine-{fabric}", {}),
+    }
+    before = [task.inside_share(task.start.net, garments, options.seed) for garments in (pool, held)]
+    result = train_loop(task.start.net, task.loss, draw, evaluate, folder, options.loop, identity, folder.name)
+    after = [task.inside_share(result.params, garments, options.seed) for garments in (pool, held)]
+    model = load_model(model_path(run))
+    model = with_fine(model, fabric, Stage(result.params, task.start.scale))
+    record = store.read_record(model_path(run)).get("training", {})
+    record[f"collisions-{fabric}"] = {
+        "inside_training_percent": [100 * before[0], 100 * after[0]],
+        "inside_held_out_percent": [100 * before[1], 100 * after[1]],
+        "steps": result.curve[-1]["step"],
+        "seconds": round(result.seconds),
+        "options": asdict(options),
+    }
+    save_model(model_path(run), model, record)
+    return model
+
+
+def _fit(
+    model: TryOnModel,
+    kind: str,
+    stage: Stage,
+    sets: Sequence[StageSet],
+    folder: Path,
+    options: StageOptions,
+    checksum: str,
+) -> tuple[Stage, LoopResult]:
+    scale = jnp.asarray(displacement_scale(model.config, kind, sets), jnp.float32)
+    source = BatchSource(sets, options.garments, options.shapes)
+    predictor = Predictor(model.config, kind)
+
+    def loss(net: UNet, batch: Any) -> jax.Array:
+        return stage_loss(model.config, kind, Stage(net, scale), batch)
+
+    def evaluate(net: UNet) -> float:
+        return validation_error(predictor, Stage(net, scale), sets)
+
+    identity = {
+        "stage": kind,
+        "options": asdict(options),
+        "config": store.config_record(model.config),
+        "dataset": checksum,
+        "parameters": count_parameters(stage.net),
+    }
+    result = train_loop(stage.net, loss, source.draw, evaluate, folder, options.loop, identity, folder.name)
+    return Stage(result.params, scale), result
+
+
+def _save(
+    run: Path, model: TryOnModel, name: str, result: LoopResult, options: StageOptions, sets: Sequence[StageSet]
+) -> None:
+    record = store.read_record(model_path(run)).get("training", {})
+    record[name] = {
+        "garments": len(sets),
+        "samples": int(sum(s.train.sum() for s in sets)),
+        "validation_mm": min(row["validation"] for row in result.curve),
+        "steps": result.curve[-1]["step"],
+        "seconds": round(result.seconds),
+        "options": asdict(options),
+    }
+    save_model(model_path(run), model, record)
+
+
+def _platform() -> dict[str, str]:
+    return {"machine": platform.machine(), "python": platform.python_version(), "device": jax.devices()[0].device_kind}

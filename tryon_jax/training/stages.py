@@ -1,0 +1,220 @@
+"""Training R_smooth and R_fine on simulated garments (sections 4.2 and 4.3 of the paper).
+
+Both minimise the squared displacement error over the vertices of a batch that mixes designs, topologies and shapes;
+one set of weights serves them all. R_fine learns what is left after the *predicted* M_smooth, so that it also mends
+R_smooth's errors; `target="smoothed"` is the paper's form, the simulation minus its smoothed self.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from tryon_jax.garment.manifest import Manifest
+from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.training.garments import SimulatedGarment, training_shapes
+from tryon_jax.tryon import (
+    Garment,
+    Stage,
+    apply_stage,
+    base_and_detail,
+    fine_features,
+    smooth_features,
+    stack_garments,
+)
+from tryon_jax.types import pytree
+
+FineTarget = Literal["predicted", "smoothed"]
+CHUNK = 16
+"""Shapes of one garment that are predicted at once."""
+
+
+@pytree
+class StageBatch:
+    """G garments of one bucket, B shapes each."""
+
+    garments: Garment
+    """Stacked along a leading axis G."""
+    betas: Float[Array, "G B b"]
+    inputs: Float[Array, "G B N 3"]
+    """M_smooth as R_fine sees it; zeros for R_smooth, which does not look."""
+    targets: Float[Array, "G B N 3"]
+    """Vertices to be predicted, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageSet:
+    """What one garment contributes to a stage."""
+
+    name: str
+    garment: Garment
+    betas: Float[np.ndarray, "S b"]
+    inputs: Float[np.ndarray, "S N 3"] | None
+    targets: Float[np.ndarray, "S N 3"]
+    train: Bool[np.ndarray, " S"]
+    validation: Bool[np.ndarray, " S"]
+
+
+def predict_smooth(
+    config: TryOnConfig, stage: Stage, garment: Garment, betas: Float[Array, "B b"]
+) -> Float[Array, "B N 3"]:
+    """M_smooth for several shapes."""
+    vertices = jnp.asarray(garment.graph.vertices)
+    base, _ = base_and_detail(config, garment, vertices)
+    moved = apply_stage(stage, garment.graph, smooth_features(config, garment.graph, betas))
+    return jnp.moveaxis(base[:, None] + moved, 1, 0)
+
+
+def predict_fine(
+    config: TryOnConfig,
+    stage: Stage,
+    garment: Garment,
+    betas: Float[Array, "B b"],
+    smooth_vertices: Float[Array, "B N 3"],
+) -> Float[Array, "B N 3"]:
+    """M_fine for several shapes from their M_smooth."""
+    vertices = jnp.asarray(garment.graph.vertices)
+    _, detail = base_and_detail(config, garment, vertices)
+    before = jnp.moveaxis(smooth_vertices, 0, 1)
+    moved = apply_stage(stage, garment.graph, fine_features(config, garment.graph, before, detail, betas))
+    if config.reference == "smoothed":
+        moved = moved + detail[:, None]
+    return jnp.moveaxis(before + moved, 1, 0)
+
+
+def predict(
+    config: TryOnConfig, kind: str, stage: Stage, garment: Garment, betas: Array, inputs: Array
+) -> Float[Array, "B N 3"]:
+    """The stage's output, "smooth" or "fine"."""
+    if kind == "smooth":
+        return predict_smooth(config, stage, garment, betas)
+    return predict_fine(config, stage, garment, betas, inputs)
+
+
+def stage_loss(config: TryOnConfig, kind: str, stage: Stage, batch: StageBatch) -> Float[Array, ""]:
+    """Mean squared vertex error over the stage's scale (dimensionless), all garments and shapes alike."""
+    predicted = jax.vmap(lambda g, b, i: predict(config, kind, stage, g, b, i))(
+        batch.garments, batch.betas, batch.inputs
+    )
+    mask = jnp.asarray(batch.garments.graph.mask)[:, None, :, None]
+    error = jnp.where(mask, predicted - batch.targets, 0.0) / jax.lax.stop_gradient(stage.scale)
+    weight = mask.sum() * batch.betas.shape[1] * 3
+    return (error * error).sum() / weight
+
+
+def split_validation(samples: SimulatedGarment, manifest: Manifest, every: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """Training shapes of a garment, less every eighth, which choose the weights (never the test shapes)."""
+    allowed = training_shapes(samples, manifest)
+    validation = np.zeros_like(allowed)
+    validation[np.flatnonzero(allowed)[every - 1 :: every]] = True
+    return allowed & ~validation, validation
+
+
+def smooth_sets(samples: Sequence[SimulatedGarment], manifest: Manifest) -> list[StageSet]:
+    """R_smooth's samples: the smoothed simulations, averaged over fabrics."""
+    sets = []
+    for s in samples:
+        train, validation = split_validation(s, manifest)
+        sets.append(StageSet(s.name, s.garment, s.betas, None, s.target, train, validation))
+    return sets
+
+
+def fine_sets(
+    samples: Sequence[SimulatedGarment],
+    manifest: Manifest,
+    fabric: str,
+    smooth_vertices: Sequence[Float[np.ndarray, "S N 3"]],
+) -> list[StageSet]:
+    """R_fine's samples for one fabric: the simulations themselves, given M_smooth of each sample."""
+    sets = []
+    for s, inputs in zip(samples, smooth_vertices, strict=True):
+        train, validation = split_validation(s, manifest)
+        good = s.good[fabric]
+        sets.append(StageSet(s.name, s.garment, s.betas, inputs, s.drapes[fabric], train & good, validation & good))
+    return sets
+
+
+def displacement_scale(config: TryOnConfig, kind: str, sets: Sequence[StageSet]) -> float:
+    """Root mean square of what the stage has to add, metres: the unit of its network's output."""
+    squares, count = 0.0, 0
+    for s in sets:
+        chosen = np.flatnonzero(s.train)[:: max(1, int(s.train.sum()) // 8)]
+        vertices = jnp.asarray(s.garment.graph.vertices)
+        base, detail = base_and_detail(config, s.garment, vertices)
+        start = np.asarray(base)[None] if s.inputs is None else s.inputs[chosen]
+        if kind == "fine" and config.reference == "smoothed":
+            start = start + np.asarray(detail)[None]
+        mask = np.asarray(s.garment.graph.mask)
+        squares += float(((s.targets[chosen] - start)[:, mask] ** 2).sum())
+        count += len(chosen) * int(mask.sum()) * 3
+    return float(np.sqrt(squares / max(count, 1)))
+
+
+class BatchSource:
+    """Draws batches of garments that share a bucket, buckets in proportion to their garments."""
+
+    def __init__(self, sets: Sequence[StageSet], garments: int, shapes: int) -> None:
+        self.shapes, self.garments = shapes, garments
+        self.sets = [s for s in sets if s.train.any()]
+        if not self.sets:
+            raise ValueError("no garment of the dataset has a good training sample")
+        self.by_bucket: dict[int, list[StageSet]] = {}
+        for s in self.sets:
+            self.by_bucket.setdefault(s.garment.graph.num_nodes, []).append(s)
+
+    def draw(self, rng: np.random.Generator) -> StageBatch:
+        """One batch."""
+        first = self.sets[rng.integers(len(self.sets))]
+        group = self.by_bucket[first.garment.graph.num_nodes]
+        others = [group[i] for i in rng.integers(len(group), size=self.garments - 1)]
+        chosen = [first, *others]
+        picks = [rng.choice(np.flatnonzero(s.train), self.shapes) for s in chosen]
+        nothing = np.zeros((1, 1, 3), np.float32)
+        return StageBatch(
+            stack_garments([s.garment for s in chosen]),
+            np.stack([s.betas[p] for s, p in zip(chosen, picks, strict=True)]),
+            np.stack(
+                [
+                    np.broadcast_to(nothing, s.targets[p].shape) if s.inputs is None else s.inputs[p]
+                    for s, p in zip(chosen, picks, strict=True)
+                ]
+            ),
+            np.stack([s.targets[p] for s, p in zip(chosen, picks, strict=True)]),
+        )
+
+
+class Predictor:
+    """A stage's predictions for many samples of a garment, in chunks, compiled once for each bucket."""
+
+    def __init__(self, config: TryOnConfig, kind: str) -> None:
+        self._run = jax.jit(lambda stage, garment, betas, inputs: predict(config, kind, stage, garment, betas, inputs))
+
+    def __call__(
+        self, stage: Stage, garment: Garment, betas: Float[np.ndarray, "S b"], inputs: np.ndarray | None = None
+    ) -> Float[np.ndarray, "S N 3"]:
+        """Predicted vertices, padded, metres."""
+        out = []
+        for start in range(0, len(betas), CHUNK):
+            rows = np.arange(start, start + CHUNK) % len(betas)
+            given = np.zeros((CHUNK, 1, 3), np.float32) if inputs is None else inputs[rows]
+            out.append(np.asarray(self._run(stage, garment, betas[rows], given))[: len(betas) - start])
+        return np.concatenate(out)
+
+
+def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet], most: int = 8) -> float:
+    """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres."""
+    errors = []
+    for s in sets:
+        chosen = np.flatnonzero(s.validation)
+        chosen = chosen[:: max(1, len(chosen) // most)][:most]
+        if not len(chosen):
+            continue
+        inputs = None if s.inputs is None else s.inputs[chosen]
+        predicted = predictor(stage, s.garment, s.betas[chosen], inputs)
+        mask = np.asarray(s.garment.graph.mask)
+        errors.append(1e3 * np.linalg.norm((predicted - s.targets[chosen])[:, mask], axis=-1).mean())
+    return float(np.mean(errors))
