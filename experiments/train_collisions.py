@@ -29,5 +29,6 @@ def main(config: Config) -> None:
             before, after = record[f"inside_{name}_percent"]
             change = 100 * (after / before - 1) if before else 0.0
             print(
-                f"{fabric}, {name} garments: {before:.3f} % of vertices inside before, {after:.3f} % after ({change:+.0f} %)"
+                f"{fabric}, {name} garments: {before:.3f} % of vertices inside before, "
+                f"{after:.3f} % after ({change:+.0f} %)"
             )

@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from tqdm import tqdm
 
 from tryon_jax.body import shape_body, vertex_normals
-from tryon_jax.collision import climb_to_nearest, collision_depths, collision_loss, vertex_rings
+from tryon_jax.collision import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
 from tryon_jax.nets.unet import UNet
 from tryon_jax.training.garments import TRAINING_BUCKETS
@@ -25,6 +25,11 @@ from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.stages import predict_fine, predict_smooth
 from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
 from tryon_jax.types import pytree
+
+COLLISION_WEIGHT = 100.0
+"""Balances a mean over all vertices, of which a percent or two collide, with the anchor."""
+WALK_STEPS = 4
+"""Moves over the body in search of the closest vertex, from the closest one on the mean body."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,7 @@ class CollisionTask:
     def __init__(self, model: TryOnModel, fabric: str, options: CollisionOptions) -> None:
         self.model, self.fabric, self.options = model, fabric, options
         self.start = model.fine[fabric]
-        self.rings = vertex_rings(np.asarray(model.body.faces), len(model.body.v_template))
+        self.neighbours = list_neighbours(model.body)
         self._count = jax.jit(lambda net, pooled, betas: self._inside(net, pooled, betas))
 
     def body(self, betas: Float[Array, " b"]) -> tuple[Float[Array, "W 3"], Float[Array, "W 3"]]:
@@ -126,10 +131,12 @@ class CollisionTask:
 
         def one(vertices, beta):
             skin, normals = self.body(beta)
-            nearest = climb_to_nearest(jax.lax.stop_gradient(vertices), pooled.nearest, skin, self.rings)
-            return collision_loss(vertices, mask, nearest, skin, normals, options.margin)
+            loss, _ = collision_loss(
+                vertices, mask, skin, normals, self.neighbours, pooled.nearest, options.margin, WALK_STEPS
+            )
+            return loss
 
-        return jax.vmap(one)(fine, betas).mean() / options.margin * 100 + anchor
+        return jax.vmap(one)(fine, betas).mean() / options.margin * COLLISION_WEIGHT + anchor
 
     def _inside(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
         config, garment = self.model.config, pooled.garment
@@ -139,9 +146,10 @@ class CollisionTask:
 
         def one(vertices, beta):
             skin, normals = self.body(beta)
-            nearest = climb_to_nearest(vertices, pooled.nearest, skin, self.rings)
-            depth = collision_depths(vertices, nearest, skin, normals)
-            return ((depth > 0) & mask).sum() / mask.sum()
+            _, measured = collision_loss(
+                vertices, mask, skin, normals, self.neighbours, pooled.nearest, steps=WALK_STEPS
+            )
+            return measured["inside"]
 
         return jax.vmap(one)(fine, betas)
 
