@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -402,6 +403,19 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
     structure, names = built[0]
     parameters = jax.tree.unflatten(structure, [arrays[name] for name in names])
     return TryOnModel(**parameters, body=body, config=config)
+
+
+def load_pretrained(name: str = "small") -> TryOnModel:
+    """The model that comes with the library: trained weights, body and pattern, nothing to download.
+
+    Raises:
+        ValueError: there is no model of that name.
+    """
+    folder = resources.files("tryon_jax") / "data" / "models"
+    names = sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir()) if folder.is_dir() else []
+    check_choice("pretrained model", name, names)
+    with resources.as_file(folder / f"{name}.safetensors") as path:
+        return load_model(path)
 
 
 def _record(config: TryOnConfig, body: Body) -> dict[str, Any]:
