@@ -55,7 +55,9 @@ def _kept(points: np.ndarray, faces: np.ndarray, num_outline: int) -> Bool[np.nd
     return keep
 
 
-def _scatter_inside(outline: np.ndarray, spacing: float, count: int, rng: np.random.Generator) -> np.ndarray:
+def _scatter_inside(
+    outline: np.ndarray, spacing: float, count: int, rng: np.random.Generator, jitter: float = JITTER
+) -> np.ndarray:
     """Exactly `count` random points inside the outline, roughly `spacing` apart.
 
     A triangular grid, turned, shifted and jittered by so much that no direction of the grid is left: an unjittered
@@ -77,7 +79,7 @@ def _scatter_inside(outline: np.ndarray, spacing: float, count: int, rng: np.ran
         points = (grid + shift) * pitch @ rotation + (low + high) / 2
         points = points[((points > low - pitch) & (points < high + pitch)).all(axis=1)]
         angle = 2 * np.pi * rng.random(len(points))
-        radius = JITTER * pitch * np.sqrt(rng.random(len(points)))
+        radius = jitter * pitch * np.sqrt(rng.random(len(points)))
         points = points + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         where = hull.find_simplex(points)
         points = points[(where >= 0) & inside[where]]
@@ -171,6 +173,7 @@ def triangulate(
     rng: np.random.Generator,
     iterations: int = 40,
     refresh: int = 10,
+    jitter: float = JITTER,
 ) -> tuple[Float[np.ndarray, "N 2"], Int[np.ndarray, "F 3"]]:
     """Triangulate a simple polygon with exactly `count` points inside it.
 
@@ -180,6 +183,7 @@ def triangulate(
         rng: source of the topology: another state gives another triangulation.
         iterations: relaxation steps.
         refresh: steps between new triangulations.
+        jitter: randomness of the start, see `JITTER`; 0 gives a regular lattice.
 
     Returns:
         points [N, 2], outline first, and counter-clockwise triangles [F, 3], F = B + 2 count − 2.
@@ -190,7 +194,7 @@ def triangulate(
     spacing = edge_length(polygon_area(outline) / max(len(outline) + 2 * count - 2, 1))
     fault = ""
     for attempt in range(4):
-        interior = _scatter_inside(outline, spacing, count, rng)
+        interior = _scatter_inside(outline, spacing, count, rng, jitter)
         points, faces = relax(outline, interior, spacing, iterations * (attempt + 1), refresh)
         fault = panel_fault(points, faces, len(outline))
         if not fault:

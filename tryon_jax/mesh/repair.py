@@ -17,8 +17,11 @@ from tryon_jax.checks import check_choice, check_file, check_finite
 from tryon_jax.mesh.quality import areas
 from tryon_jax.mesh.topology import border_loops, directed_edges, edge_keys, hinges, inspect_topology, unique_edges
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Units of length that files come in, metres."""
+
+GUESSED = ("m", "cm", "mm")
+"""Units that are told by size: no garment can be meant in two of them. Inches have to be named."""
 
 SIZE = (0.24, 2.4)
 """Largest extent of a garment, metres: what lies outside is in another unit or no garment."""
@@ -78,7 +81,7 @@ def load_garment(path: str | Path, unit: str = "auto", up: str = "y") -> LoadedG
 
     Args:
         path: the file.
-        unit: "m", "cm", "mm", or "auto" to tell by the size of the whole.
+        unit: "m", "cm", "mm", "in", or "auto" to tell metres, centimetres and millimetres by the size of the whole.
         up: the file's vertical axis, "y" or "z" (+z up, −y front as in Blender).
 
     Raises:
@@ -161,13 +164,15 @@ def repair_mesh(
 def _scale(used: np.ndarray, unit: str, name: str, repairs: list[str]) -> float:
     size = float(np.ptp(used, axis=0).max())
     if unit == "auto":
-        fits = [u for u, metres in UNITS.items() if SIZE[0] <= size * metres < SIZE[1]]
+        fits = [u for u in GUESSED if SIZE[0] <= size * UNITS[u] < SIZE[1]]
         if not fits:
             raise ValueError(
                 f"{name} is {size:g} units across: no garment in metres ({SIZE[0]:g} to {SIZE[1]:g}), centimetres or "
                 "millimetres; give its unit"
             )
         unit = fits[0]
+    elif not SIZE[0] <= size * UNITS[unit] < SIZE[1]:
+        raise ValueError(f"{name} is {size:g} {unit} across: a garment has {SIZE[0]:g} to {SIZE[1]:g} m")
     if unit != "m":
         repairs.append(f"took lengths as {unit} and brought them to metres ({size:g} {unit} across)")
     return UNITS[unit]
