@@ -101,6 +101,20 @@ def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys):
         np.testing.assert_allclose(arrays["garment_vertices"], vertices, atol=1e-5)
 
 
+def test_a_pose_turns_body_and_garment(weights, tmp_path):
+    pose = np.zeros((24, 3))
+    pose[0] = [0.0, np.pi / 2, 0.0]  # the whole body turns its front (+z) to +x
+    np.savez(tmp_path / "pose.npz", pose=pose)
+    straight, turned = tmp_path / "straight.npz", tmp_path / "turned.npz"
+    command = ["drape", "--weights", weights, "--design", "tank", *COARSE]
+    assert main([*command, "--out", str(straight)]) == 0
+    assert main([*command, "--out", str(turned), "--pose", str(tmp_path / "pose.npz")]) == 0
+    with np.load(straight) as before, np.load(turned) as after:
+        for part in ("body", "garment"):
+            x, y, z = before[f"{part}_vertices"].T
+            np.testing.assert_allclose(after[f"{part}_vertices"], np.stack([z, y, -x], axis=1), atol=1e-5)
+
+
 def test_maps_colour_the_cloth(weights, tmp_path):
     path = tmp_path / "ease.glb"
     picture = tmp_path / "ease.png"
@@ -151,6 +165,7 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
         (["--batch", "missing.csv", "--out", "results"], "no file at 'missing.csv'"),
         (["--batch", "orders.csv"], "--batch needs --out"),
         (["--batch", "orders.csv", "--out", "r", "--design", "dress"], "columns of the CSV file"),
+        (["--pose", "missing.npz"], "no file at 'missing.npz'"),
         (["--garment", "missing.obj"], "no file at 'missing.obj'"),
         (["--garment", "missing.obj", "--design", "dress"], "either a design or --garment"),
     ],

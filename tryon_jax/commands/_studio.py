@@ -19,6 +19,7 @@ from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.repair import load_garment
+from tryon_jax.posing import pose_dressed, soft_skinning
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
 
 
@@ -113,6 +114,15 @@ class Studio:
             *fit.lines(),
         ]
         return Draped((np.asarray(body_vertices), faces), vertices, prepared, betas, fit, fabric, lines)
+
+    def pose(self, draped: Draped, pose: Float[np.ndarray, "J 3"]) -> Draped:
+        """The same body and garment in another pose; the report of the fit stays that of the T-pose."""
+        with self.clock.stage("pose"):
+            weights = np.asarray(draped.prepared.garment.graph.skinning_weights)[: len(draped.vertices)]
+            soft = soft_skinning(weights, draped.prepared.faces)
+            points, faces = draped.body
+            body, garment = pose_dressed(self.model.body, points, draped.vertices, soft, pose.astype(np.float32))
+        return replace(draped, body=(np.asarray(body), faces), vertices=np.asarray(garment))
 
     def prepare(self, cut: Cut) -> Prepared:
         """The garment of a design, made once for each."""

@@ -21,6 +21,7 @@ from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._studio import Draped, Studio
 from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
 from tryon_jax.fit import Fit
+from tryon_jax.posing import read_pose
 from tryon_jax.render import ColorScale, render_picture
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.tryon import TryOnModel, load_model
@@ -34,6 +35,8 @@ class Config:
     shape: BodyShape = field(default_factory=BodyShape)
     garment: Path | None = None
     """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
+    pose: Path | None = None
+    """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
     out: Path | None = None
@@ -84,9 +87,12 @@ def main(config: Config) -> None:
     with clock.stage("weights"):
         model = _load(config.weights)
     studio = Studio(model, clock, config.triangle_area, config.seed)
+    pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
     rows = []
     for request, target in zip(requests, targets, strict=True):
         draped = studio.drape(request)
+        if pose is not None:
+            draped = studio.pose(draped, pose)
         if config.batch is not None:
             print(f"-- {request.name}")
         for line in draped.lines:
