@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from tryon_jax.atomic import write_text
-from tryon_jax.body import load_body, load_smpl, shape_body
+from tryon_jax.body import check_betas, load_body, load_smpl, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_vertices
 from tryon_jax.commands._request import BodyShape, resolve_betas
@@ -50,6 +50,7 @@ def main(config: Config) -> None:
     if config.picture is not None:
         check_picture_path(config.picture)
     body = load_body(config.body) if config.smpl is None else load_smpl(config.smpl)
+    check_betas(body, np.asarray(config.shape.betas, float))
     betas, remarks = resolve_betas(body, config.shape, body.num_betas)
     vertices = np.asarray(shape_body(body, betas)[0])
     measured = {key: float(value) for key, value in measure_vertices(vertices, load_landmarks(body)).items()}
