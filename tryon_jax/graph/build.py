@@ -49,6 +49,8 @@ class GarmentGraph:
     """Triangles, padded with (0, 0, 0) to F = 2 N."""
     skinning_weights: Float[ArrayLike, "*batch N J"]
     """Skinning weights of the closest body vertex on the mean body; zero at padded nodes."""
+    body_vertices: Int[ArrayLike, "*batch N"]
+    """Closest vertex of the mean body; zero at padded nodes."""
     mask: Bool[ArrayLike, "*batch N"]
     """True at real nodes."""
     num_vertices: Int[ArrayLike, "*batch"]
@@ -60,10 +62,9 @@ class GarmentGraph:
         return self.vertices.shape[-2]
 
 
-def nearest_skinning_weights(vertices: Float[np.ndarray, "V 3"], body: Body) -> Float[np.ndarray, "V J"]:
-    """Skinning weights of the closest vertex of the mean body (section 4.2 of the paper)."""
-    _, nearest = cKDTree(np.asarray(body.v_template)).query(vertices)
-    return np.asarray(body.lbs_weights)[nearest]
+def closest_body_vertices(vertices: Float[np.ndarray, "V 3"], body: Body) -> Int[np.ndarray, " V"]:
+    """Closest vertex of the mean body; its skinning weights describe the node (section 4.2 of the paper)."""
+    return cKDTree(np.asarray(body.v_template)).query(vertices)[1]
 
 
 def build_graph(
@@ -121,7 +122,7 @@ def build_graph(
         )
         for i in range(num_levels)
     )
-    weights = nearest_skinning_weights(points, body)
+    nearest = closest_body_vertices(points, body)
     capacity = 2 * size
     while capacity < len(faces):
         capacity *= 2
@@ -129,7 +130,8 @@ def build_graph(
         levels=levels,
         vertices=_pad_rows(points, size, dtype),
         faces=_pad_rows(np.asarray(faces), capacity, np.int32),
-        skinning_weights=_pad_rows(weights, size, dtype),
+        skinning_weights=_pad_rows(np.asarray(body.lbs_weights)[nearest], size, dtype),
+        body_vertices=_pad_rows(nearest, size, np.int32),
         mask=np.arange(size) < num_vertices,
         num_vertices=np.asarray(num_vertices, np.int32),
     )
