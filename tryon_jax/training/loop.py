@@ -131,7 +131,7 @@ def _stalled(curve: list[dict[str, float]], patience: int) -> bool:
     if not patience or len(curve) <= patience:
         return False
     errors = [row["validation"] for row in curve]
-    return min(errors[-patience:]) > min(errors[:-patience])
+    return min(errors[-patience:]) >= min(errors[:-patience])
 
 
 def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
