@@ -1,6 +1,5 @@
 """The resumable loop on a problem whose answer is known."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
