@@ -10,16 +10,43 @@ from tryon_jax.body import (
     shape_body,
     vertex_normals,
 )
+from tryon_jax.garment import load_design_space, remesh
+from tryon_jax.tryon import (
+    Garment,
+    TryOnModel,
+    drape,
+    drape_stages,
+    init_model,
+    load_model,
+    load_pretrained,
+    mean_drape,
+    prepare,
+    save_model,
+    stack_garments,
+)
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Garment",
+    "TryOnModel",
     "betas_from_measurements",
+    "drape",
+    "drape_stages",
     "face_normals",
+    "init_model",
     "load_body",
+    "load_design_space",
+    "load_model",
+    "load_pretrained",
     "load_smpl",
+    "mean_drape",
     "measure_body",
     "pose_body",
+    "prepare",
+    "remesh",
+    "save_model",
     "shape_body",
+    "stack_garments",
     "vertex_normals",
 ]
