@@ -13,6 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 ArrayLike: TypeAlias = jax.Array | np.ndarray
+Scalar: TypeAlias = float | Float[ArrayLike, ""]
+"""A number that may be traced: a leaf of settings inside a jitted function."""
 
 
 def static(**kwargs: Any) -> Any:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from tryon_jax.contact import Surface, SurfacePoint, follow_faces, point_on_faces
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.types import pytree
+from tryon_jax.types import Scalar, pytree
 
 SLIDING = 0.5
 """Share of the tangential stiffness that a sliding vertex keeps in the matrix. The true tangent of sliding is zero, but
@@ -22,11 +22,11 @@ a vertex that turns back meets the full spring: with a tenth the solver cycles b
 class ContactLaw:
     """Parameters of contact; pressures act on the cloth per square metre of rest area."""
 
-    soft: float = 1e5
+    soft: Scalar = 1e5
     """Pascals per metre of approach where contact begins."""
-    hard: float = 1e7
+    hard: Scalar = 1e7
     """Pascals per metre added at the skin; grows with the square of the approach."""
-    tangential: float = 1e4
+    tangential: Scalar = 1e4
     """Pascals per metre of elastic slip before the cloth slides."""
 
 
@@ -67,7 +67,7 @@ def body_contact(
     fabric: Fabric,
     surface: Surface,
     law: ContactLaw,
-    margin: float,
+    margin: Scalar,
 ) -> Contact:
     """Contact forces at `x`, following each sample's closest body face from its last one.
 

@@ -18,6 +18,7 @@ from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.proxy import CollisionBody, build_collision_body
+from tryon_jax.physics.self_contact import SelfContact, SelfPairs, find_pairs
 from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
 from tryon_jax.types import Body
 
@@ -93,6 +94,7 @@ def dress(
     equilibrium: Equilibrium,
     betas: Sequence[float] = (0.0, 0.0),
     max_steps: int = 400,
+    self_contact: SelfContact | None = None,
 ) -> Drape:
     """Drape a sewn garment from flat panels around the body, on one body shape.
 
@@ -102,6 +104,7 @@ def dress(
     Args:
         start: positions of the welded vertices, metres (`tryon_jax.garment.placement`).
         max_steps: steps in all.
+        self_contact: keeps the cloth from passing through itself; None leaves it out (see `physics.self_contact`).
 
     Raises:
         ValueError: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
@@ -117,7 +120,8 @@ def dress(
     drape = _settle(Drape(state, shape, surface, _no_report(), count), cloth, fabric, weightless, 1e-3, 20, 10, None)
     still = replace(drape.state, velocity=jnp.zeros_like(x), slip=jnp.zeros_like(x))
     drape = replace(drape, state=still)
-    drape = _settle(drape, cloth, fabric, settings, equilibrium.tolerance, max_steps, equilibrium.refresh, None)
+    refresh, goal = equilibrium.refresh, equilibrium.tolerance
+    drape = _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
     if not np.isfinite(drape.vertices).all():
         raise ValueError(f"the drape diverged: fabric {fabric.name!r}, {count} vertices, betas {list(betas)}")
     return drape
@@ -131,14 +135,14 @@ def follow(
     obstacle: Obstacle,
     settings: SolverSettings,
     equilibrium: Equilibrium,
+    self_contact: SelfContact | None = None,
 ) -> Drape:
     """Carry a drape to another body shape nearby and let it come to rest."""
     surface = obstacle.surface(np.asarray(betas, float))
     motion = surface.vertices - drape.surface.vertices
     moved = replace(drape, betas=np.asarray(betas, float), surface=surface, report=_no_report())
-    return _settle(
-        moved, cloth, fabric, settings, equilibrium.tolerance, equilibrium.max_steps, equilibrium.refresh, motion
-    )
+    goal, most, refresh = equilibrium.tolerance, equilibrium.max_steps, equilibrium.refresh
+    return _settle(moved, cloth, fabric, settings, goal, most, refresh, motion, self_contact)
 
 
 def sweep(
@@ -149,16 +153,29 @@ def sweep(
     obstacle: Obstacle,
     settings: SolverSettings,
     equilibrium: Equilibrium,
+    self_contact: SelfContact | None = None,
 ) -> Iterator[Drape]:
     """Drapes along a ray of betas, in its order, each from the one before."""
     for betas in ray:
-        drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium)
+        drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium, self_contact)
         yield drape
 
 
 def _faces(surface: Surface, x: jnp.ndarray, cloth: Cloth) -> jnp.ndarray:
     vertex = nearest_vertices(surface, np.asarray(_sample_points(x, cloth)))
     return _closest_faces(surface, x, cloth, vertex)
+
+
+def _pairs(
+    state: ClothState, cloth: Cloth, num_vertices: int, settings: SelfContact, previous: SelfPairs | None
+) -> SelfPairs:
+    faces = np.asarray(cloth.faces)[np.asarray(cloth.face_areas) > 0]
+    capacity = settings.capacity if previous is None else len(previous.vertex)
+    while True:
+        pairs, overflow = find_pairs(np.asarray(state.x)[:num_vertices], faces, settings, capacity, previous)
+        if not overflow:
+            return pairs
+        capacity *= 2
 
 
 def _no_report() -> StepReport:
@@ -175,6 +192,7 @@ def _settle(
     max_steps: int,
     refresh: int,
     motion: jnp.ndarray | None,
+    self_contact: SelfContact | None = None,
 ) -> Drape:
     """Solve in pieces of `refresh` steps, searching closest points anew between them."""
     state, report = drape.state, drape.report
@@ -182,11 +200,16 @@ def _settle(
     still = jnp.zeros_like(drape.surface.vertices)
     motion = still if motion is None else motion
     steps = iterations = 0
+    pairs = None
+    if self_contact is not None:
+        refresh = min(refresh, self_contact.refresh)
     while steps < max_steps and (steps == 0 or float(report.residual) > tolerance):
         state = replace(state, face=_faces(drape.surface, state.x, cloth))
+        if self_contact is not None:
+            pairs = _pairs(state, cloth, drape.num_vertices, self_contact, pairs)
         piece = jnp.asarray(min(refresh, max_steps - steps), jnp.int32)
         goal = jnp.asarray(tolerance, state.x.dtype)
-        state, report = _solve(state, cloth, fabric, drape.surface, settings, motion, free, goal, piece)
+        state, report = _solve(state, cloth, fabric, drape.surface, settings, motion, free, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
     total = replace(report, steps=jnp.asarray(steps), iterations=jnp.asarray(iterations))

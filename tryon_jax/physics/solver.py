@@ -21,8 +21,9 @@ from tryon_jax.physics.body_contact import (
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.linear import conjugate_gradients
+from tryon_jax.physics.self_contact import SelfPairs, self_contact
 from tryon_jax.physics.stretch import deformation_gradients, face_gradient, face_hessian, green_strain, stress
-from tryon_jax.types import pytree
+from tryon_jax.types import ArrayLike, Scalar, pytree
 
 GRAVITY = 9.81
 """m/s², along −y."""
@@ -32,19 +33,19 @@ GRAVITY = 9.81
 class SolverSettings:
     """Numbers that steer the solver; changing them compiles nothing."""
 
-    time_step: float = 1 / 30
+    time_step: Scalar = 1 / 30
     """Seconds."""
-    retention: float = 0.9
+    retention: Scalar = 0.9
     """Share of the velocity that a step keeps: 1 is dynamics, 0 quasi-static."""
-    gravity: float = GRAVITY
+    gravity: Scalar = GRAVITY
     """m/s²."""
-    max_move: float = 8e-3
+    max_move: Scalar = 8e-3
     """Metres that a vertex may move in one step."""
-    contact_margin: float = 5e-4
+    contact_margin: Scalar = 5e-4
     """Metres deeper at which the contact stiffness is read."""
-    linear_tolerance: float = 0.1
+    linear_tolerance: Scalar = 0.1
     """Relative residual of the linear solve."""
-    linear_iterations: int = 300
+    linear_iterations: int | Int[ArrayLike, ""] = 300
     law: ContactLaw = ContactLaw()
 
 
@@ -98,12 +99,14 @@ def step(
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
     pinned: Float[Array, " V"],
+    pairs: SelfPairs | None = None,
 ) -> tuple[ClothState, StepReport]:
     """One implicit step.
 
     Args:
         surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
         pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
     """
     dtype = state.x.dtype
     h = jnp.asarray(settings.time_step, dtype)
@@ -122,6 +125,10 @@ def step(
     inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0) + pinned
     diagonal = at_vertices + grip[:, None, None] * tangent
     diagonal = diagonal + inertia[:, None, None] * jnp.eye(3, dtype=dtype)[None]
+    if pairs is not None:
+        law, margin = settings.law, settings.contact_margin
+        between, held = self_contact(state.x, pairs, cloth.vertex_areas, law, margin)
+        gradient, diagonal = gradient + between, diagonal + held
     face_blocks = face_blocks + at_faces[:, None, None]
     blocks = jnp.zeros((count * slots, 9), dtype)
     blocks = blocks.at[cloth.face_slots.reshape(-1)].add(face_blocks.reshape(-1, 9))
@@ -169,8 +176,9 @@ def solve(
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
     pinned: Float[Array, " V"],
-    tolerance: float | Float[Array, ""],
+    tolerance: Scalar,
     max_steps: int | Int[Array, ""],
+    pairs: SelfPairs | None = None,
 ) -> tuple[ClothState, StepReport]:
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
@@ -188,7 +196,7 @@ def solve(
         carry: tuple[ClothState, StepReport, Float[Array, "W 3"]],
     ) -> tuple[ClothState, StepReport, Float[Array, "W 3"]]:
         state, before, motion = carry
-        state, report = step(state, cloth, fabric, surface, settings, motion, pinned)
+        state, report = step(state, cloth, fabric, surface, settings, motion, pinned, pairs)
         total = StepReport(
             report.residual,
             report.move,

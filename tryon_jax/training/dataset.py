@@ -12,9 +12,8 @@ are used, and nothing is dropped silently.
 
 import json
 import os
-import zipfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +65,7 @@ def open_dataset(root: Path, config: DatasetConfig) -> Path:
     wanted = json.loads(json.dumps(asdict(config)))
     if not path.exists():
         write_text(path, json.dumps(wanted, indent=2) + "\n")
-    found = json.loads(path.read_text())
+    found = _read_table(path)
     different = [f"{k} = {found.get(k)!r} (asked for {wanted.get(k)!r})" for k in wanted if found.get(k) != wanted[k]]
     if different:
         raise ValueError(f"dataset {str(root)!r} was made with {', '.join(different)}; choose another folder")
@@ -78,12 +77,25 @@ def read_config(root: Path) -> DatasetConfig:
 
     Raises:
         FileNotFoundError: there is no dataset in the folder.
+        ValueError: its config.json is damaged, or of another version of this library.
     """
-    path = root / "config.json"
-    if not path.exists():
+    if not (root / "config.json").exists():
         raise FileNotFoundError(f"no dataset at {str(root)!r}: run `python -m experiments simulate` first")
-    table = json.loads(path.read_text())
+    table = _read_table(root / "config.json")
+    known = [field.name for field in fields(DatasetConfig)]
+    if sorted(table) != sorted(known) or not isinstance(table["fabrics"], list):
+        raise ValueError(f"{str(root / 'config.json')!r} must have the entries {', '.join(known)}; found {list(table)}")
     return DatasetConfig(**{**table, "fabrics": tuple(table["fabrics"])})
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    try:
+        table = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{str(path)!r} is damaged: {error}") from None
+    if not isinstance(table, dict):
+        raise ValueError(f"{str(path)!r} is damaged: it must hold one JSON object")
+    return table
 
 
 def mesh_path(root: Path, garment: str) -> Path:
@@ -119,13 +131,13 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         FileNotFoundError: it is missing.
         ValueError: it is damaged.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
-    except (zipfile.BadZipFile, ValueError, EOFError, OSError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
-        raise ValueError(f"{str(path)!r} is damaged ({error}); delete it and simulate again") from None
+    with path.open("rb") as handle:
+        try:
+            with np.load(handle, allow_pickle=False) as file:
+                return {key: file[key] for key in file.files}
+        # A wrong byte can raise almost anything inside zip and npy readers.
+        except Exception as error:
+            raise ValueError(f"{str(path)!r} is damaged ({error}); delete it and simulate again") from None
 
 
 def is_good(statistics: Mapping[str, Float[np.ndarray, " N"]]) -> Bool[np.ndarray, " N"]:
