@@ -43,10 +43,8 @@ class Fit:
     @property
     def ease(self) -> dict[str, float | None]:
         """Garment's minus body's girth, metres; negative where the cloth is stretched round the body."""
-        return {
-            name: None if self.garment_girth[name] is None else self.garment_girth[name] - girth
-            for name, girth in self.body_girth.items()
-        }
+        pairs = {name: (self.garment_girth[name], girth) for name, girth in self.body_girth.items()}
+        return {name: None if cloth is None else cloth - girth for name, (cloth, girth) in pairs.items()}
 
     @property
     def inside(self) -> float:

@@ -147,11 +147,11 @@ def _request(cells: Mapping[str, str], name: str) -> Request:
     name = cells.get("name", name)
     if Path(name).name != name:
         raise ValueError(f"name = {name!r} must be a plain file name without a directory")
-    texts = {key: cells[key] for key in ("design",) if key in cells}
-    lengths = {f.name for f in fields(Cut)} - {"design", "set"}
     cut = Cut(
-        **texts,
-        **{key: _number(key, cells[key]) for key in lengths if key in cells},
+        design=cells.get("design"),
+        sleeve_length=_optional_number(cells, "sleeve_length"),
+        garment_chest=_optional_number(cells, "garment_chest"),
+        garment_length=_optional_number(cells, "garment_length"),
         set=tuple(cells.get("set", "").split()),
     )
     betas = tuple(_number("betas", text) for text in cells.get("betas", "").split())
@@ -160,6 +160,10 @@ def _request(cells: Mapping[str, str], name: str) -> Request:
     if mesh is not None and cut != Cut():
         raise ValueError("give either a design or a garment's mesh, not both")
     return Request(name, cut, shape, cells.get("fabric"), mesh)
+
+
+def _optional_number(cells: Mapping[str, str], name: str) -> float | None:
+    return _number(name, cells[name]) if name in cells else None
 
 
 def _number(name: str, text: str) -> float:
