@@ -25,7 +25,7 @@ from tryon_jax.garment import (
     load_design_space,
     remesh,
 )
-from tryon_jax.garment.curves import inside_polygon
+from tryon_jax.garment.curves import inside_polygon, polygon_area
 from tryon_jax.garment.sewing import edge_counts, sample_outline, sew
 from tryon_jax.garment.triangulate import (
     delaunay_inside,
@@ -75,7 +75,7 @@ def throw_darts(outline: np.ndarray, spacing: float, count: int, rng: np.random.
 
 def forces_from_darts(outline: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The forces of the library from a dart throw; where darts are too few the mesh is coarser than asked."""
-    spacing = edge_length(TARGET_AREA)
+    spacing = edge_length(polygon_area(outline) / max(len(outline) + 2 * count - 2, 1))
     return relax(outline, throw_darts(outline, spacing, count, rng), spacing, 40, refresh=10)
 
 

@@ -36,8 +36,13 @@ def main(config: Config) -> None:
     designs = manifest.training if config.split == "training" else manifest.unseen
     columns = min(config.columns, len(designs))
     bands = -(-len(designs) // columns)
-    figure = Figure(figsize=(2.6 * columns, 7.4 * bands), dpi=100, layout="constrained")
-    axes = figure.subplots(2 * bands, columns, squeeze=False, sharex=True, sharey=True)
+    longest = [max(d["length"] for d in designs[k : k + columns]) for k in range(0, len(designs), columns)]
+    # Rows as high as their longest garment, all at one scale.
+    heights = [2.0 * length + 0.5 for length in longest for _ in range(2)]
+    figure = Figure(figsize=(2.7 * columns, sum(heights) + 0.6), dpi=110, layout="constrained")
+    axes = figure.subplots(
+        2 * bands, columns, squeeze=False, sharex=True, sharey="row", gridspec_kw={"height_ratios": heights}
+    )
     for empty in axes.ravel():
         empty.set_axis_off()
     rows = []
@@ -45,7 +50,7 @@ def main(config: Config) -> None:
         garment = remesh(manifest.space, design, manifest.target_area, seed=config.seed)
         upper, lower = axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]
         draw_panels(upper, manifest.space, design)
-        draw_triangles(lower, garment)
+        draw_triangles(lower, garment, linewidth=0.25)
         sizes = " · ".join(f"{100 * v:.0f}" for v in design.values)
         upper.set_title(f"{design.label}\n{sizes} cm", fontsize=9)
         lower.set_title(f"{garment.num_vertices} vertices", fontsize=9)

@@ -60,9 +60,11 @@ def draw_panels(axes: "Axes", space: DesignSpace, design: Design, color: str = "
     axes.set_axis_off()
 
 
-def draw_triangles(axes: "Axes", mesh: SewnMesh, panel: int = 0, color: str = "#2b4a6b") -> None:
+def draw_triangles(
+    axes: "Axes", mesh: SewnMesh, panel: int = 0, color: str = "#2b4a6b", linewidth: float = 0.35
+) -> None:
     """Draw one panel's triangles in UV."""
-    axes.triplot(*mesh.uv.T, mesh.faces_uv[mesh.panels == panel], color=color, linewidth=0.35)
+    axes.triplot(*mesh.uv.T, mesh.faces_uv[mesh.panels == panel], color=color, linewidth=linewidth)
     axes.set_aspect("equal")
     axes.set_axis_off()
 
