@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,7 @@ from tryon_jax.garment.manifest import Manifest
 from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
 from tryon_jax.nets.mlp import apply_mean_drape
-from tryon_jax.training.dataset import STATISTICS, is_good, load_arrays, mean_path, mesh_path
+from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path
 from tryon_jax.tryon import Garment, TryOnModel
 
 TRAINING_BUCKETS = (2048, 2816, 3584)
@@ -35,9 +36,9 @@ class SimulatedGarment:
     good: dict[str, Bool[np.ndarray, " S"]]
     """Which samples the rules keep."""
     target: Float[np.ndarray, "S N 3"]
-    """Smoothed and averaged over the fabrics whose sample is good: what M_smooth is to be."""
+    """Smoothed and averaged over all fabrics: what M_smooth is to be."""
     usable: Bool[np.ndarray, " S"]
-    """Samples with at least one good fabric."""
+    """Samples whose target may be learned: every fabric is at rest and at least one is good."""
 
     @property
     def label(self) -> str:
@@ -83,20 +84,26 @@ def load_simulated(
     keys = sorted(set.union(*[set(table) for table in tables.values()]))
     size, count = garment.graph.num_nodes, garment.num_vertices
     betas = np.array(keys, np.float32)
-    drapes, good = {}, {}
+    drapes, good, resting = {}, {}, np.ones(len(keys), bool)
+    total = np.zeros((len(keys), size, 3), np.float32)
     for fabric, table in tables.items():
-        stacked = np.zeros((len(keys), size, 3), np.float32)
-        keep = np.zeros(len(keys), bool)
+        stacked, keep = np.zeros_like(total), np.zeros(len(keys), bool)
         for i, key in enumerate(keys):
-            if key in table and table[key][2]:
-                stacked[i, :count], keep[i] = table[key][0], True
+            sample = table.get(key)
+            if sample is None:
+                resting[i] = False
+                continue
+            total[i, :count] += sample.vertices / len(tables)
+            resting[i] &= sample.resting
+            if sample.good:
+                stacked[i, :count], keep[i] = sample.vertices, True
         drapes[fabric], good[fabric] = stacked, keep
-    test = np.array([next(t[key][1] for t in tables.values() if key in t) for key in keys])
-    number = np.sum([good[f] for f in fabrics], axis=0)
-    total = np.sum([drapes[f] * good[f][:, None, None] for f in fabrics], axis=0)
-    average = total / np.maximum(number, 1)[:, None, None]
-    target = _smooth_all(garment.smoother, average)
-    return SimulatedGarment(name, garment, betas, test, drapes, good, target, number > 0)
+    test = np.array([next(t[key].test for t in tables.values() if key in t) for key in keys])
+    # Fabrics differ by a centimetre. Leaving one out of the average where real cloth could not be worn would make the
+    # target jump from one body shape to the next, so its simulation counts here even if R_fine never sees it.
+    usable = resting & np.any([good[f] for f in fabrics], axis=0)
+    target = _smooth_all(garment.smoother, total)
+    return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable)
 
 
 def _smooth_all(smoother: HeatSmoother, samples: np.ndarray) -> np.ndarray:
@@ -105,19 +112,28 @@ def _smooth_all(smoother: HeatSmoother, samples: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.asarray(_smooth(smoother, jnp.asarray(columns))), 1, 0).copy()
 
 
-def _samples(root: Path, name: str, fabric: str) -> dict[tuple[float, ...], tuple[np.ndarray, bool, bool]]:
-    """Vertices, test flag and goodness by betas; the mean body belongs to training."""
+class _Sample(NamedTuple):
+    vertices: np.ndarray
+    test: bool
+    good: bool
+    resting: bool
+
+
+def _samples(root: Path, name: str, fabric: str) -> dict[tuple[float, ...], _Sample]:
+    """Samples by betas; the mean body belongs to training."""
     path = mean_path(root, name, fabric)
     if not path.exists():
         raise FileNotFoundError(f"dataset {str(root)!r} has no drape of {name} in {fabric} on the mean body")
     mean = load_arrays(path)
     rays = [load_arrays(p) for p in sorted((root / "rays").glob(f"{name}_{fabric}_*.npz"))]
     width = rays[0]["betas"].shape[1] if rays else 2
-    table = {(0.0,) * width: (mean["vertices"], False, bool(is_good({k: mean[k] for k in STATISTICS})))}
+    good, resting = is_good(mean), mean["residual"] <= MAX_RESIDUAL
+    table = {(0.0,) * width: _Sample(mean["vertices"], False, bool(good), bool(resting))}
     for ray in rays:
-        keep = is_good({k: ray[k] for k in STATISTICS})
+        good, resting = is_good(ray), ray["residual"] <= MAX_RESIDUAL
         for i, betas in enumerate(np.round(ray["betas"], 6)):
-            table[tuple(map(float, betas))] = (ray["vertices"][i], bool(ray["test"][i]), bool(keep[i]))
+            key = tuple(map(float, betas))
+            table[key] = _Sample(ray["vertices"][i], bool(ray["test"][i]), bool(good[i]), bool(resting[i]))
     return table
 
 
