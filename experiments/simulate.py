@@ -34,8 +34,9 @@ class Config:
     """Design of `--part topologies`."""
     templates: int = 120
     """Designs draped for R_mean (with `--part training`)."""
-    dense_vertices: int = 17_246
-    """Vertices of the mesh that R_mean's drapes are simulated on."""
+    dense_vertices: int = 0
+    """0: templates for R_mean are fitted to drapes at working density; else simulated on a dense mesh of so many
+    vertices and downsampled (17246: the paper)."""
     processes: int = os.cpu_count() or 1
     """Worker processes, one core each; more machines may work on the same folder."""
 
@@ -48,7 +49,7 @@ def main(config: Config) -> None:
     manifest = load_manifest()
     training = [design.label for design in manifest.training]
     if config.scale == "small":
-        dataset = DatasetConfig(num_betas=config.betas, target_area=6e-4, dense_vertices=2000)
+        dataset = DatasetConfig(num_betas=config.betas, target_area=6e-4, dense_vertices=config.dense_vertices)
         designs, seeds = [training[0], training[4]], manifest.training_seeds[:1]
     else:
         dataset = DatasetConfig(
@@ -70,7 +71,7 @@ def main(config: Config) -> None:
     failed: list[str] = []
     with ProcessPoolExecutor(config.processes, mp_context=context, initializer=end_with_parent) as pool:
         try:
-            for name, wave in zip(("mean body", "rays"), waves, strict=True):
+            for name, wave in zip(("mean body", "templates", "rays"), waves, strict=True):
                 _run_wave(pool, root, name, wave, failed)
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)

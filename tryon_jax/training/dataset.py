@@ -4,7 +4,7 @@
     ROOT/meshes/<garment>.npz                  faces, uv, faces_uv, template map of one topology
     ROOT/mean/<garment>_<fabric>.npz           drape on the mean body, with the state to continue from
     ROOT/rays/<garment>_<fabric>_<ray>.npz     drapes along one ray: vertices [N, V, 3], betas, statistics
-    ROOT/templates/<number>.npz                drapes of a dense mesh, downsampled to the template: for R_mean
+    ROOT/templates/<number>.npz                drapes of the template on the mean body: for R_mean
 
 <garment> is <design label>-<topology seed>. Every sample carries statistics; `is_good` decides by fixed rules which
 are used, and nothing is dropped silently.
@@ -43,8 +43,9 @@ class DatasetConfig:
     fabrics: tuple[str, ...] = ("gray-interlock", "white-dots-on-blk")
     target_area: float = 1.78e-4
     """Mean triangle area, m²."""
-    dense_vertices: int = 17_246
-    """Vertices of the mesh whose drapes train R_mean."""
+    dense_vertices: int = 0
+    """0: R_mean learns templates fitted to drapes at working density, averaged over the fabrics; else drapes of a dense
+    mesh of so many vertices, downsampled, as in the paper (17,246 there)."""
     version: int = 1
 
 
