@@ -41,6 +41,12 @@ def load_body(name: str = "female") -> Body:
     the male body spreads weight over betas 2 and 3. The neutral body joins two clusters and turns into a caricature
     beyond |beta 1| of about 2. The origin is the pelvis joint for every betas.
 
+    Bodies are closed and face outward for every betas. Stature alone (beta 1 from -3 to 3) makes no female or male body
+    cross itself. Heavy female bodies do, where the inner thighs meet (beta 2 of -2.5 and below), and very lean ones in
+    the groin (2.5 and above); so does the neutral body behind the thighs at beta 1 = -3. With all ten betas uniform in
+    -2 to 2, far wilder than people are, 11 of 200 female, 4 of 200 male and 20 of 200 neutral bodies cross themselves
+    by 8 to 60 faces: thighs, groin and buttocks, in one neutral body also the armpits.
+
     Raises `ValueError` for another name.
     """
     check_choice("body", name, NAMES)
