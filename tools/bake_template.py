@@ -5,7 +5,7 @@ Trained networks depend on the connectivity it writes. Run it only when the layo
 
 from pathlib import Path
 
-from tryon_jax.garment.layout import load_layout
+from tryon_jax.garment.layout_file import load_layout
 from tryon_jax.garment.template import TEMPLATE_VERTICES, make_reference, save_reference
 
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tryon_jax.garment import curves, load_layout
-from tryon_jax.garment.layout import builtin_layouts, parse_layout
 from tryon_jax.garment.layout_check import check_drawing, check_layout
+from tryon_jax.garment.layout_file import builtin_layouts, parse_layout
 
 TEXT = (resources.files("tryon_jax") / "data" / "layouts" / "kimono.toml").read_text(encoding="utf-8")
 KIMONO = load_layout("kimono")

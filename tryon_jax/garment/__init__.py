@@ -5,7 +5,8 @@ Host side only (NumPy and SciPy); nothing here is traced or differentiated.
 
 from tryon_jax.garment.dense import DENSE_VERTICES, DenseTemplate, dense_template
 from tryon_jax.garment.design import Design, DesignSpace, load_design_space
-from tryon_jax.garment.layout import Layout, load_layout
+from tryon_jax.garment.layout import Layout
+from tryon_jax.garment.layout_file import load_layout
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.garment.mesh import GarmentMesh, SewnMesh, place_on_template
 from tryon_jax.garment.placement import placement

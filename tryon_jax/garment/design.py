@@ -10,7 +10,8 @@ from jaxtyping import Float
 from scipy.stats import qmc
 
 from tryon_jax.checks import check_choice, check_finite, check_range
-from tryon_jax.garment.layout import Layout, load_layout
+from tryon_jax.garment.layout import Layout
+from tryon_jax.garment.layout_file import load_layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class DesignSpace:
         for name in values:
             check_choice("parameter", name, self.names)
         numbers = [
-            check_range(n, values.get(n, self.mean[i]), self.minimum[i], self.maximum[i], "m")
+            check_range(n, values[n] if n in values else float(self.mean[i]), self.minimum[i], self.maximum[i], "m")
             for i, n in enumerate(self.names)
         ]
         return Design(self.names, np.array(numbers), label)
