@@ -86,6 +86,7 @@ def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) 
     space = config_space(config)
     center, scale = np.asarray(space.mean), 0.5 * (np.asarray(space.maximum) - np.asarray(space.minimum))
     net, curve = train_mean(samples, center, scale, options)
+    config = replace(config, mean_hidden=options.hidden)
     model = replace(init_model(jax.random.key(options.seed), config), mean=net)
     best = min(row["validation_mm"] for row in curve)
     record = {
