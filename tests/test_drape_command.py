@@ -1,33 +1,20 @@
 import csv
 import json
-from dataclasses import replace
 
-import jax
 import numpy as np
 import pytest
 import trimesh
+from flat_model import flat_model
 
-from tryon_jax.body import load_body
 from tryon_jax.cli import main
-from tryon_jax.garment import build_template, load_design_space, placement
-from tryon_jax.nets.config import load_config
-from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.tryon import TryOnModel, init_model, model_parameters, save_model
+from tryon_jax.garment import load_design_space
+from tryon_jax.tryon import save_model
 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    """A model whose networks are all zero, so that every drape is the flat panels round the body."""
-    space = load_design_space()
-    template = placement(build_template(space, space.mean_design)).astype(np.float32)
-    net = UNetConfig(widths=(4, 4), encoder_convs=1)
-    config = load_config("small", smooth=net, fine=net, fabrics=("gray-interlock", "camel-ponte-roma"))
-    body = load_body(config.body)
-    learned = jax.jit(lambda: model_parameters(init_model(jax.random.key(0), config, body=body)))()
-    model = TryOnModel(**jax.tree.map(lambda leaf: np.zeros_like(leaf), learned), body=body, config=config)
-    mean = replace(model.mean, template_center=template, design_scale=np.ones_like(model.mean.design_scale))
     path = tmp_path_factory.mktemp("weights") / "model.safetensors"
-    save_model(path, replace(model, mean=mean))
+    save_model(path, flat_model())
     return str(path)
 
 

@@ -19,6 +19,7 @@ from tryon_jax.types import ArrayLike
 EASE_AT = ("chest", "waist", "hip")
 """Where ease is measured."""
 
+_ROUND = 4096
 _measure = jax.jit(measure_vertices)
 
 
@@ -118,9 +119,16 @@ def measure_fit(
     return Fit(
         body_girth={name: float(measured[name]) for name in EASE_AT},
         garment_girth=cloth,
-        clearance=np.asarray(_clearance(surface, np.asarray(vertices), nearest_vertices(surface, vertices))),
+        clearance=_distances(surface, points),
         tension=total / np.maximum(count, 1),
     )
+
+
+def _distances(surface: Surface, points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " V"]:
+    """Signed distances, filled up to a round number of points so that another mesh compiles nothing."""
+    filled = np.zeros((-(-len(points) // _ROUND) * _ROUND, 3), np.float32)
+    filled[: len(points)] = points
+    return np.asarray(_clearance(surface, filled, nearest_vertices(surface, filled)))[: len(points)]
 
 
 def tape_place(
