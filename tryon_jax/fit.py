@@ -7,25 +7,21 @@ from dataclasses import dataclass
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tryon_jax.body.landmarks import GIRTHS, Landmarks
 from tryon_jax.body.measurements import measure_vertices
-from tryon_jax.contact import Surface, build_surface, closest_faces, nearest_vertices, point_on_faces
+from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.types import ArrayLike
 
 EASE_AT = ("chest", "waist", "hip")
 """Where ease is measured."""
 
-_ROUND = 4096
+# Distances up to this, metres, are exact; those beyond may be a little too large, where nobody asks.
+_EXACT = 0.03
 _measure = jax.jit(measure_vertices)
-
-
-@jax.jit
-def _clearance(surface: Surface, points: Float[Array, "V 3"], vertex: Int[Array, " V"]) -> Float[Array, " V"]:
-    return point_on_faces(surface, points, closest_faces(surface, points, vertex)).distance
 
 
 @dataclass(frozen=True)
@@ -107,28 +103,21 @@ def measure_fit(
     """
     body_points = np.asarray(body_vertices, np.float64)
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces)
+    surface = ClosedSurface(body_points, np.asarray(body_faces))
     measured = _measure(body_vertices, landmarks)
     cloth: dict[str, float | None] = {}
     for name in EASE_AT:
         middle, normal = tape_place(landmarks, name, body_points)
         cloth[name] = girth_round(points, triangles, middle, normal)
-    surface = build_surface(body_vertices, body_faces)
     strain = stretches(points, triangles, np.asarray(uv, np.float64), np.asarray(faces_uv))[:, 0] - 1
     total = np.bincount(triangles.ravel(), np.repeat(strain, 3), len(points))
     count = np.bincount(triangles.ravel(), minlength=len(points))
     return Fit(
         body_girth={name: float(measured[name]) for name in EASE_AT},
         garment_girth=cloth,
-        clearance=_distances(surface, points),
+        clearance=surface.closest(points, exact_below=_EXACT)[0],
         tension=total / np.maximum(count, 1),
     )
-
-
-def _distances(surface: Surface, points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " V"]:
-    """Signed distances, filled up to a round number of points so that another mesh compiles nothing."""
-    filled = np.zeros((-(-len(points) // _ROUND) * _ROUND, 3), np.float32)
-    filled[: len(points)] = points
-    return np.asarray(_clearance(surface, filled, nearest_vertices(surface, filled)))[: len(points)]
 
 
 def tape_place(

@@ -88,7 +88,7 @@ def test_the_command_line_makes_the_same(wardrobe, look, tmp_path, monkeypatch):
     wish = replace(look.wish, betas=(0.5, -0.25), design=tuple(wardrobe.space.preset("tshirt").values), seed=2)
     words = shlex.split(command_line(wish, wardrobe.space))
     monkeypatch.chdir(tmp_path)
-    options = ["--weights", "model.safetensors", "--height", "40", "--views", "front"]
+    options = ["--weights", "model.safetensors", "--no-push-out", "--height", "40", "--views", "front"]
     assert main([*words[1:], *options]) == 0
     garment = trimesh.load("garment.glb", process=False).geometry["garment"]
     drape = wardrobe.look(wish).layers["drape"]

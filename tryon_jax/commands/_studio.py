@@ -19,7 +19,9 @@ from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.repair import load_garment
+from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.posing import pose_dressed, soft_skinning
+from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
 
 
@@ -71,12 +73,22 @@ class Draped:
 class Studio:
     """A model with the garments that it has prepared; one compiled drape serves all of one size.
 
-    `triangle_area` is the mean area of the cloth's triangles in square centimetres, None for what the networks were
-    trained on; another `seed` gives other meshes of the same garments.
+    With a `clearance` in metres, drapes are pushed out of the body to it. `triangle_area` is the mean area of
+    the cloth's triangles in square centimetres, None for what the networks were trained on; another `seed` gives other
+    meshes of the same garments.
     """
 
-    def __init__(self, model: TryOnModel, clock: Clock, triangle_area: float | None = None, seed: int = 0) -> None:
+    def __init__(
+        self,
+        model: TryOnModel,
+        clock: Clock,
+        *,
+        clearance: float | None = None,
+        triangle_area: float | None = None,
+        seed: int = 0,
+    ) -> None:
         self.model = model
+        self.clearance = clearance
         self.clock = clock
         self.seed = seed
         self.space = config_space(model.config)
@@ -102,8 +114,14 @@ class Studio:
         with self.clock.stage("drape"):
             padded = self._drape(model, prepared.garment, betas, fabric=fabric)
             vertices = prepared.garment.unpad(padded)
+        faces = np.asarray(model.body.faces)
+        if self.clearance is not None:
+            with self.clock.stage("push out"):
+                surface = ClosedSurface(np.asarray(body_vertices), faces)
+                pushed = push_out(vertices, prepared.faces, surface, self.clearance)
+            vertices = pushed.vertices.astype(np.float32)
+            remarks.append(_words(pushed))
         with self.clock.stage("fit"):
-            faces = np.asarray(model.body.faces)
             pattern = (prepared.faces, prepared.uv, prepared.faces_uv)
             fit = measure_fit(body_vertices, faces, self.landmarks, vertices, *pattern)
         lines = [
@@ -155,3 +173,10 @@ class Studio:
                 Garment(graph, smoother), piece.faces, uv, faces_uv, path.name, tuple(remarks)
             )
         return self._prepared[path]
+
+
+def _words(pushed: PushedOut) -> str:
+    """What the push out of the body did."""
+    before = f"{100 * pushed.inside_before:.2f} % of the cloth lay up to {1e3 * pushed.deepest_before:.1f} mm inside"
+    after = "none does now" if pushed.is_outside else f"{100 * pushed.inside:.2f} % still do"
+    return f"pushed   {before}, {after}; largest move {1e3 * pushed.largest_move:.1f} mm"

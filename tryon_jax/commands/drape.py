@@ -22,6 +22,7 @@ from tryon_jax.commands._studio import Draped, Studio
 from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
 from tryon_jax.fit import Fit
 from tryon_jax.posing import read_pose
+from tryon_jax.pushout import CLEARANCE
 from tryon_jax.render import ColorScale, render_picture
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.tryon import TryOnModel, load_model
@@ -39,6 +40,8 @@ class Config:
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
+    push_out: bool = True
+    """Push cloth that lies inside the body out of it, by the least displacement, checked by exact distances."""
     out: Path | None = None
     """Mesh file to write: .glb, .obj, .ply or .npz. With a batch the directory of the results."""
     picture: Path | None = None
@@ -86,7 +89,13 @@ def main(config: Config) -> None:
     requests, targets = _plan(config)
     with clock.stage("weights"):
         model = _load(config.weights)
-    studio = Studio(model, clock, config.triangle_area, config.seed)
+    studio = Studio(
+        model,
+        clock,
+        clearance=CLEARANCE if config.push_out else None,
+        triangle_area=config.triangle_area,
+        seed=config.seed,
+    )
     pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
     rows = []
     for request, target in zip(requests, targets, strict=True):
