@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from tryon_jax.atomic import atomic_path, write_text
 
@@ -141,7 +140,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
             raise ValueError(f"{str(path)!r} is damaged ({error}); delete it and simulate again") from None
 
 
-def is_good(statistics: Mapping[str, Float[np.ndarray, " N"]]) -> Bool[np.ndarray, " N"]:
+def is_good(statistics: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which samples are kept: at rest, outside the body, not through themselves, not under impossible tension."""
     return (
         (statistics["residual"] <= MAX_RESIDUAL)

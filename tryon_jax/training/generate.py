@@ -162,8 +162,8 @@ class Bench:
         return mesh, build_cloth(mesh["faces"], mesh["uv"], mesh["faces_uv"], len(mesh["start"]))
 
     def _dress(self, mesh_start: np.ndarray, cloth: Cloth, fabric: Fabric) -> Drape:
-        zero = np.zeros(self.config.num_betas)
-        return dress(mesh_start, cloth, fabric, self.obstacle, self.settings, self.equilibrium, zero)
+        mean_body = (0.0,) * self.config.num_betas
+        return dress(mesh_start, cloth, fabric, self.obstacle, self.settings, self.equilibrium, mean_body)
 
     def simulate_mean(self, task: Task) -> str:
         """Dress the mean body."""

@@ -1,0 +1,51 @@
+"""The model in the wheel: it is the promise of the library, so its drapes are checked as drapes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tryon_jax as tj
+from tryon_jax.contact import build_surface, closest_points
+
+
+@pytest.fixture(scope="module")
+def model() -> tj.TryOnModel:
+    return tj.load_pretrained()
+
+
+def test_unknown_name_is_refused():
+    with pytest.raises(ValueError, match="unknown pretrained model 'smal'"):
+        tj.load_pretrained("smal")
+
+
+def test_drapes_hang_on_the_body(model):
+    """Cloth follows a tall and a heavy body: near the skin, hardly inside it, and longer than wide."""
+    garment = tj.prepare(model, "tshirt")
+    drape = jax.jit(tj.drape, static_argnames="fabric")
+    betas = jnp.array([[2.0, 0.0], [0.0, -1.5], [0.0, 0.0]])
+    for fabric in model.config.fabrics:
+        vertices = garment.unpad(drape(model, garment, betas, fabric=fabric))
+        for row, shape in zip(vertices, betas, strict=True):
+            skin, _ = tj.shape_body(model.body, shape)
+            distance = np.asarray(closest_points(build_surface(skin, model.body.faces), row).distance)
+            assert np.median(distance) < 0.06
+            assert (distance < -0.01).mean() < 0.02
+
+
+def test_garments_follow_the_body(model):
+    """A taller body wears the same T-shirt higher above its pelvis, by centimetres."""
+    garment = tj.prepare(model, "tshirt")
+    drape = jax.jit(tj.drape, static_argnames="fabric")
+    low, high = (garment.unpad(drape(model, garment, jnp.array([b, 0.0]))) for b in (-2.0, 2.0))
+    assert high[:, 1].max() - low[:, 1].max() > 0.04
+
+
+def test_record_tells_how_it_was_trained(model):
+    from importlib import resources
+
+    from tryon_jax.nets.store import read_record
+
+    record = read_record(resources.files("tryon_jax") / "data" / "models" / "small.safetensors")
+    assert {"mean", "smooth"} <= set(record["training"])
+    assert all(f"fine-{fabric}" in record["training"] for fabric in model.config.fabrics)
