@@ -7,6 +7,7 @@ from tryon_jax.cli import main as tryon
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 COMMANDS = {
+    "drape.jpg": "drape --design dress --betas 1.5 -0.5 --fabric gray-interlock --height 640 --picture",
     "body.jpg": "body --stature 1.72 --chest 0.96 --height 560 --picture",
     "pattern.jpg": "pattern --design dress --picture",
 }
