@@ -51,7 +51,6 @@ class CollisionOptions:
     """Clearance asked for, metres."""
     anchor: float = 0.5
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
-    seed: int = 0
 
 
 @pytree

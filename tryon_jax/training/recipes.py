@@ -142,15 +142,15 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnMo
     """Fine-tune one fabric's R_fine against collisions; R_smooth and R_fine must be trained. No simulation is read."""
     model = load_model(model_path(run))
     task = CollisionTask(model, fabric, options)
-    pool = make_pool(model, options.pool, options.seed)
-    held = make_pool(model, options.held_out, options.seed + 1)
+    pool = make_pool(model, options.pool, options.loop.seed)
+    held = make_pool(model, options.held_out, options.loop.seed + 1)
     folder = run / f"collisions-{fabric}"
 
     def draw(rng: np.random.Generator) -> CollisionBatch:
         return draw_collisions(pool, options, model.config.num_betas, rng)
 
     def evaluate(net: UNet) -> float:
-        return 100 * task.inside_share(net, held, options.seed)
+        return 100 * task.inside_share(net, held, options.loop.seed)
 
     training = store.read_record(model_path(run)).get("training", {})
     identity = {
@@ -160,9 +160,9 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnMo
         "config": store.config_record(model.config),
         "before": training.get(f"fine-{fabric}", {}),
     }
-    before = [task.inside_share(task.start.net, garments, options.seed) for garments in (pool, held)]
+    before = [task.inside_share(task.start.net, garments, options.loop.seed) for garments in (pool, held)]
     result = train_loop(task.start.net, task.loss, draw, evaluate, folder, options.loop, identity, folder.name)
-    after = [task.inside_share(result.params, garments, options.seed) for garments in (pool, held)]
+    after = [task.inside_share(result.params, garments, options.loop.seed) for garments in (pool, held)]
     model = load_model(model_path(run))
     model = with_fine(model, fabric, Stage(result.params, task.start.scale))
     record = store.read_record(model_path(run)).get("training", {})
