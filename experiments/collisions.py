@@ -1,0 +1,125 @@
+"""Vertices inside the body before and after the self-supervised collision step, and after the push-out."""
+
+import importlib.util
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments._evaluate import Pipeline, case_names, held_out_rows, load_all, open_model
+from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.metrics import Skin, vertex_distances
+from tryon_jax.nets.store import read_record
+from tryon_jax.training.dataset import default_root, read_config
+from tryon_jax.training.recipes import model_path
+
+PAPER_CHANGE = {"training": -70.0, "held_out": -20.0}
+"""Change of the vertices inside, percent, that the paper reports."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    data: Path = field(default_factory=default_root)
+    """Folder of the simulated dataset."""
+    run: Path = Path("runs/small")
+    """Folder of the run."""
+    out: Path = RESULTS
+    """Folder for the record."""
+    shapes: int = 4
+    """Test shapes of each garment."""
+    garments: int = 6
+    """Garments of each case, evenly spread; 0 for all."""
+    untrained: bool = False
+    """Run with stages that are not trained, to try the experiment out."""
+
+
+def main(config: Config) -> None:
+    """Read what the collision step recorded, and measure the model as it is by signed distance."""
+    weights = model_path(config.run)
+    fabrics = read_config(config.data).fabrics
+    training = read_record(weights).get("training", {})
+    steps = {f: training[f"collisions-{f}"] for f in fabrics if f"collisions-{f}" in training}
+    model = open_model(weights, config.untrained, fabrics)
+    cases = case_names(config.data, load_manifest(), config.garments)
+    names = [name for group in cases.values() for name in group]
+    garments = load_all(model, config.data, names)
+    pipeline, skin = Pipeline(model), Skin(model.body)
+    measured: dict[str, Any] = {}
+    for case, group in cases.items():
+        found: list[tuple[float, ...]] = []
+        for name in tqdm(group, desc=case, mininterval=2):
+            samples = garments[name]
+            rows = held_out_rows(samples, fabrics, config.shapes)
+            count, faces = samples.garment.num_vertices, samples.garment.faces
+            for fabric, predicted in pipeline(samples, rows, fabrics).items():
+                for k, row in enumerate(rows):
+                    body = skin.at(samples.betas[row])
+                    simulated = samples.drapes[fabric][row, :count]
+                    here = body.penetration(predicted.fine[k], faces)
+                    there = body.penetration(simulated, faces)
+                    error = 1e3 * float(vertex_distances(predicted.fine[k], simulated).mean())
+                    found.append((here.vertices, here.surface, here.depth, there.vertices, error))
+        if found:
+            table = np.array(found)
+            measured[case] = {
+                "samples": len(found),
+                "vertices_percent": 100 * table[:, 0].mean(),
+                "surface_percent": 100 * table[:, 1].mean(),
+                "mean_deepest_mm": 1e3 * table[:, 2].mean(),
+                "deepest_mm": 1e3 * table[:, 2].max(),
+                "simulation_vertices_percent": 100 * table[:, 3].mean(),
+                "error_mm": table[:, 4].mean(),
+            }
+    results = {"collision_step": steps, "measured": measured, "push_out": has_push_out()}
+    path = write_result(
+        config.out,
+        "collisions",
+        config,
+        results,
+        dataset=describe_dataset(config.data, names),
+        model=describe_model(weights),
+    )
+    for line in markdown(results):
+        print(line)
+    print(f"wrote {path}")
+
+
+def has_push_out() -> bool:
+    """Whether this version of the library has the push-out."""
+    return importlib.util.find_spec("tryon_jax.pushout") is not None
+
+
+def markdown(results: dict[str, Any]) -> list[str]:
+    """Tables with the paper's numbers beside ours."""
+    lines = []
+    if results["collision_step"]:
+        lines += [
+            "| collision step, random bodies and garments | vertices inside before, % | after, % | change | paper |",
+            "|---|---|---|---|---|",
+        ]
+        for fabric, record in results["collision_step"].items():
+            for split, paper in PAPER_CHANGE.items():
+                before, after = record[f"inside_{split}_percent"]
+                change = f"{100 * (after / before - 1):+.0f} %" if before else "–"
+                title = f"{fabric}, {'training' if split == 'training' else 'unseen'} garments"
+                lines.append(f"| {title} | {before:.3f} | {after:.3f} | {change} | {paper:+.0f} % |")
+        lines.append("")
+    else:
+        lines += ["The collision step has not been run on these weights: not measured.", ""]
+    state = "after" if results["collision_step"] else "before"
+    lines += [
+        f"| weights {state} the collision step, test shapes | vertices inside, % | surface inside, % | "
+        "deepest, mm (mean · worst) | simulation, vertices inside, % |",
+        "|---|---|---|---|---|",
+    ]
+    for case, row in results["measured"].items():
+        lines.append(
+            f"| {case} ({row['samples']} drapes) | {row['vertices_percent']:.2f} | {row['surface_percent']:.2f} | "
+            f"{row['mean_deepest_mm']:.1f} · {row['deepest_mm']:.1f} | {row['simulation_vertices_percent']:.2f} |"
+        )
+    return lines

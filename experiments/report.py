@@ -1,0 +1,127 @@
+"""Collect the records of the experiments into docs/RESULTS.md, the paper's claims beside our numbers."""
+
+import importlib
+import importlib.util
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments._record import RESULTS, read_result
+from tryon_jax.atomic import write_text
+
+SECTIONS = {
+    "accuracy": (
+        "Accuracy",
+        "Distance of each garment vertex from the simulation, on body shapes that no training has seen. Every table "
+        "has the rows of what is simpler than learning.",
+    ),
+    "new_topologies": (
+        "Generalisation to new topologies",
+        "Claim of the paper: errors on topologies unseen in training are on par with those trained on. "
+        "Hausdorff distance between surfaces, each topology against its own simulation.",
+    ),
+    "memory": (
+        "Memory",
+        "Claim of the paper: 71 MB of weights against 167 MB of a fully connected network for one dense mesh of all "
+        "garments.",
+    ),
+    "materials": (
+        "Materials",
+        "Claim of the paper: predictions have folds of their material. Here in numbers, on unseen designs and shapes.",
+    ),
+    "collisions": (
+        "Collisions",
+        "Claim of the paper: self-supervised fine-tuning removes 70 % of the collisions in training and 20 % on "
+        "unseen garments. Signed distance from the skin; hands and feet are left out.",
+    ),
+    "qualitative": (
+        "Unseen garments on unseen bodies",
+        "Designs, topologies and body shapes that no training has seen, drawn as predicted, without push-out.",
+    ),
+}
+NOT_RUN = {
+    "fully_connected": "Comparison with the fully connected baseline",
+    "single_garment": "Comparison with a single-garment model",
+    "density": "Mesh density",
+    "ablation": "Ablation",
+    "speed": "Speed",
+    "inverse": "Inverse problems",
+}
+"""Experiments that are planned; those whose module has a `markdown(results)` are reported like the others."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where from and where to."""
+
+    results: Path = RESULTS
+    """Folder of the records and pictures."""
+    out: Path = Path("docs/RESULTS.md")
+    """Page to write."""
+
+
+def main(config: Config) -> None:
+    """Write the page from the records that are there; what is missing is said to be missing."""
+    lines = [
+        "# Results",
+        "",
+        "Made by `python -m experiments report` from the records in "
+        f"`{config.results.as_posix() if not config.results.is_absolute() else config.results.name}`; nothing on this "
+        "page is typed in by hand. Each section says on what hardware and from which weights and data it was measured. "
+        "Networks see training shapes, designs and topologies alone; weights are chosen on every eighth training "
+        "shape; the test samples that are measured here choose nothing.",
+        "",
+    ]
+    missing = []
+    for name, (title, about) in SECTIONS.items():
+        record = read_result(config.results, name)
+        if record is None:
+            missing.append(f"{title} (`{name}`)")
+        else:
+            lines += section(name, title, about, record, config)
+    for name, title in NOT_RUN.items():
+        record = read_result(config.results, name)
+        if record is None:
+            missing.append(f"{title} (`{name}`)")
+        elif importlib.util.find_spec(f"experiments.{name}") is not None:
+            lines += section(name, title, "", record, config)
+    if missing:
+        lines += ["## Not measured yet", "", *(f"- {entry}" for entry in missing), ""]
+    write_text(config.out, "\n".join(lines))
+    print(f"wrote {config.out}; {len(missing)} experiments not measured yet")
+
+
+def section(name: str, title: str, about: str, record: dict[str, Any], config: Config) -> list[str]:
+    """One experiment: what is claimed, numbers, picture, where they come from."""
+    module = importlib.import_module(f"experiments.{name}")
+    lines = [f"## {title}", "", *([about, ""] if about else []), *module.markdown(record["results"])]
+    for suffix in (".png", ".jpg"):
+        picture = config.results / f"{name}{suffix}"
+        if not picture.exists():
+            continue
+        link = Path(os.path.relpath(picture, config.out.parent)).as_posix()
+        lines += ["", f"![{title}]({link})"]
+    return [*lines, "", f"<sub>{provenance(record)}</sub>", ""]
+
+
+def provenance(record: dict[str, Any]) -> str:
+    """Hardware, versions, options, weights and data of a record in one line."""
+    place = record["environment"]
+    options = ", ".join(f"{key} = {value}" for key, value in record["config"].items())
+    parts = [
+        f"{place['date']}, {place['device']} ({place['cpu_cores']} cores), jax {place['jax']}, "
+        f"tryon_jax {place['tryon_jax']}"
+    ]
+    if options:
+        parts.append(f"options: {options}")
+    if "model" in record:
+        stages = [
+            f"{stage} {entry['steps']} steps" if isinstance(entry, dict) and "steps" in entry else stage
+            for stage, entry in record["model"]["training"].items()
+            if stage != "platform"
+        ]
+        parts.append(f"weights {record['model']['sha256'][:12]} ({', '.join(stages) or 'untrained'})")
+    if "dataset" in record:
+        parts.append(f"dataset {record['dataset']['checksum'][:12]}, {record['dataset']['garments']} garments read")
+    return "; ".join(parts)
