@@ -45,10 +45,17 @@ def test_walk_finds_what_brute_force_finds_near_the_skin(body, neighbours, cloth
     moved = jnp.asarray(points + (np.asarray(shaped) - np.asarray(body.v_template))[start])
     walked, rested = jax.jit(closest_vertices)(neighbours, shaped, moved, start)
     distance, exact = cKDTree(np.asarray(shaped)).query(moved)
-    np.testing.assert_array_equal(closest_vertices_exact(shaped, moved, block=128), exact)
-    near = distance < 0.02
-    assert near.mean() > 0.4
-    np.testing.assert_array_equal(np.asarray(walked)[near], exact[near])
+    assert exact.shape == (500,)
+
+    def reached(index):
+        return np.linalg.norm(np.asarray(moved) - np.asarray(shaped)[np.asarray(index)], axis=1)
+
+    # Distances and not indices: two body vertices can be equally far to float32.
+    np.testing.assert_allclose(reached(closest_vertices_exact(shaped, moved, block=128)), distance, atol=1e-5)
+    near = distance < 0.01
+    assert near.mean() > 0.3
+    np.testing.assert_allclose(reached(walked)[near], distance[near], atol=1e-6)
+    assert (reached(walked) > distance + 1e-6).mean() < 0.015
     assert np.asarray(rested).mean() > 0.99
 
 

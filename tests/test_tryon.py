@@ -11,9 +11,11 @@ from jax.test_util import check_grads
 
 from tryon_jax.body import load_body
 from tryon_jax.garment import build_template, load_design_space, placement, remesh
+from tryon_jax.graph.resample import split_long_edges
 from tryon_jax.nets import TryOnConfig, UNetConfig, apply_mean_drape
 from tryon_jax.tryon import (
     DrapeStages,
+    carry,
     drape,
     drape_stages,
     init_model,
@@ -34,6 +36,11 @@ TINY = TryOnConfig(
 )
 
 
+# Compiled once for each shape: op by op, JAX compiles every operation by itself, which takes far longer.
+draped = jax.jit(drape, static_argnames="fabric")
+draped_stages = jax.jit(drape_stages, static_argnames="fabric")
+
+
 @pytest.fixture(scope="module")
 def model():
     space = load_design_space()
@@ -50,7 +57,7 @@ def garment(model):
 
 def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
     betas = jnp.array([[0.5, -1.0], [0.0, 0.0], [2.0, 1.0]])
-    stages = jax.jit(drape_stages, static_argnames="fabric")(model, garment, betas, fabric="gray-interlock")
+    stages = draped_stages(model, garment, betas, fabric="gray-interlock")
     assert isinstance(stages, DrapeStages)
     assert stages.fine.shape == stages.smooth.shape == (3, garment.graph.num_nodes, 3)
     np.testing.assert_array_equal(stages.mean, garment.graph.vertices)
@@ -59,7 +66,7 @@ def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
     assert garment.unpad(stages.fine).shape == (3, real, 3)
     assert np.isfinite(stages.fine).all()
     # One body shape at a time gives the same.
-    np.testing.assert_allclose(drape(model, garment, betas[2]), stages.fine[2], atol=1e-6)
+    np.testing.assert_allclose(draped(model, garment, betas[2]), stages.fine[2], atol=1e-6)
     # Zero betas alone do not decide; neither do betas not matter.
     assert np.abs(stages.fine[0] - stages.fine[2]).max() > 1e-6
 
@@ -86,14 +93,14 @@ def test_untrained_heads_leave_the_mean_drape_where_it_is(model, garment):
             fine={k: dataclasses.replace(v, scale=still) for k, v in model.fine.items()},
             config=dataclasses.replace(TINY, reference=reference),
         )
-        stages = drape_stages(changed, garment, jnp.ones(2))
+        stages = draped_stages(changed, garment, jnp.ones(2))
         np.testing.assert_allclose(stages.fine, stages.mean, atol=1e-6)
         moved = np.abs(np.asarray(stages.smooth - stages.mean)).max()
         assert (moved > 1e-3) if reference == "smoothed" else (moved < 1e-7)
 
 
 def test_fabrics_differ(model, garment):
-    first, second = (drape(model, garment, jnp.ones(2), fabric=f) for f in TINY.fabrics)
+    first, second = (draped(model, garment, jnp.ones(2), fabric=f) for f in TINY.fabrics)
     assert np.abs(np.asarray(first - second)).max() > 1e-5
 
 
@@ -104,11 +111,13 @@ def test_derivatives_against_finite_differences(x64, model, garment):
     model, garment = double(model), double(garment)
     probe = jnp.asarray(np.random.default_rng(0).normal(size=(garment.graph.num_nodes, 3)))
 
+    @jax.jit
     def by_betas_and_design(betas, design):
         return (drape(model, garment, jnp.asarray(betas), design=jnp.asarray(design)) * probe).sum()
 
     check_grads(by_betas_and_design, (jnp.array([0.5, -1.0]), jnp.asarray(garment.design)), order=1, rtol=1e-5)
 
+    @jax.jit
     def by_vertices(vertices):
         return (drape(model, garment.with_vertices(jnp.asarray(vertices)), jnp.ones(2)) * probe).sum()
 
@@ -120,18 +129,19 @@ def test_gradient_reaches_every_weight(model, garment):
         changed = dataclasses.replace(model, smooth=parts[0], fine=model.fine | {"gray-interlock": parts[1]})
         return (drape(changed, garment, jnp.ones(2)) ** 2).sum()
 
-    gradient = jax.grad(loss)((model.smooth, model.fine["gray-interlock"]))
+    gradient = jax.jit(jax.grad(loss))((model.smooth, model.fine["gray-interlock"]))
     assert all(np.asarray(leaf).any() for leaf in jax.tree.leaves(gradient))
 
 
 def test_vmap_over_betas_and_over_garments(model, garment):
     other = prepare(model, {"sleeve_length": 0.25}, seed=1, bucket=garment.graph.num_nodes)
     betas = jnp.array([[0.5, -1.0], [1.0, 2.0]])
-    over_betas = jax.vmap(drape, in_axes=(None, None, 0))(model, garment, betas)
-    np.testing.assert_allclose(over_betas, drape(model, garment, betas), atol=1e-6)
-    over_garments = jax.vmap(drape, in_axes=(None, 0, None))(model, stack_garments([garment, other]), betas[0])
-    np.testing.assert_allclose(over_garments[0], drape(model, garment, betas[0]), atol=1e-6)
-    np.testing.assert_allclose(over_garments[1], drape(model, other, betas[0]), atol=1e-6)
+    over_betas = jax.jit(jax.vmap(drape, in_axes=(None, None, 0)))(model, garment, betas)
+    np.testing.assert_allclose(over_betas, draped(model, garment, betas), atol=1e-6)
+    stacked = stack_garments([garment, other])
+    over_garments = jax.jit(jax.vmap(drape, in_axes=(None, 0, None)))(model, stacked, betas[0])
+    np.testing.assert_allclose(over_garments[0], draped(model, garment, betas[0]), atol=1e-6)
+    np.testing.assert_allclose(over_garments[1], draped(model, other, betas[0]), atol=1e-6)
 
 
 class Compilations(logging.Handler):
@@ -171,7 +181,7 @@ def test_new_topology_in_a_known_bucket_compiles_nothing(model, garment):
 def test_same_result_in_a_larger_bucket(model, garment):
     larger = prepare(model, {"sleeve_length": 0.2}, bucket=2 * garment.graph.num_nodes)
     betas = jnp.array([0.5, -1.0])
-    first, second = drape(model, garment, betas), drape(model, larger, betas)
+    first, second = draped(model, garment, betas), draped(model, larger, betas)
     np.testing.assert_allclose(larger.unpad(second), garment.unpad(first), atol=1e-6)
 
 
@@ -198,3 +208,49 @@ def test_bad_input_is_named(model, garment):
         prepare(model, {"sleeve_length": 20.0})
     with pytest.raises(ValueError, match="different buckets"):
         stack_garments([garment, prepare(model, bucket=2 * garment.graph.num_nodes)])
+
+
+def test_own_mesh_of_known_density_is_used_as_it_is(model, garment):
+    vertices, faces = garment.mean_vertices, garment.faces
+    own = prepare(model, mesh=(vertices, faces), bucket=garment.graph.num_nodes)
+    assert own.own is None
+    np.testing.assert_array_equal(own.faces, faces)
+    betas = jnp.array([0.5, -1.0])
+    np.testing.assert_allclose(
+        own.unpad(draped(model, own, betas)), garment.unpad(draped(model, garment, betas)), atol=1e-5
+    )
+    with pytest.raises(ValueError, match="mesh without a design"):
+        drape(model, own, betas, design=jnp.asarray(garment.design))
+
+
+def test_own_mesh_of_another_density_is_carried_by_an_even_copy(model, garment):
+    fine, fine_faces = split_long_edges(garment.mean_vertices.astype(float), garment.faces, 0.02)
+    own = prepare(model, mesh=(fine, fine_faces))
+    assert own.num_vertices == len(fine)
+    # The copy is about as coarse as the networks know.
+    assert 0.7 < int(own.graph.num_vertices) / garment.num_vertices < 1.4
+    np.testing.assert_array_equal(own.faces, fine_faces)
+    stages = draped_stages(model, own, jnp.ones((2, 2)))
+    assert own.unpad(stages.fine).shape == (2, len(fine), 3)
+    np.testing.assert_allclose(own.unpad(stages.mean), fine, atol=1e-6)
+    # Own vertices move as the surface around them does.
+    shift = np.zeros((own.graph.num_nodes, 3), np.float32)
+    shift[: int(own.graph.num_vertices)] = (0.1, 0.2, 0.3)
+    mean = jnp.asarray(own.graph.vertices)
+    np.testing.assert_allclose(
+        own.unpad(carry(own, mean + shift, mean)) - fine, [[0.1, 0.2, 0.3]] * len(fine), atol=1e-5
+    )
+
+
+def test_own_mesh_in_millimetres_is_scaled_and_one_elsewhere_is_refused(model, garment):
+    vertices, faces = garment.mean_vertices.astype(float), garment.faces
+    scaled = prepare(model, mesh=(1000 * vertices, faces))
+    np.testing.assert_allclose(scaled.mean_vertices, vertices, atol=1e-5)
+    with pytest.raises(ValueError, match="not on the mean body"):
+        prepare(model, mesh=(vertices + np.array([0.0, 3.0, 0.0]), faces))
+    with pytest.raises(ValueError, match="not both"):
+        prepare(model, "tshirt", mesh=(vertices, faces))
+    with pytest.raises(ValueError, match="finite"):
+        prepare(model, mesh=(vertices * np.nan, faces))
+    with pytest.raises(FileNotFoundError, match=r"gone\.obj"):
+        prepare(model, mesh="gone.obj")

@@ -10,17 +10,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
+from scipy.spatial import cKDTree
 
 from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice, check_finite
 from tryon_jax.garment import Design, DesignSpace, GarmentMesh, load_design_space, remesh
-from tryon_jax.graph.build import GarmentGraph, build_graph
+from tryon_jax.graph.buckets import bucket_size
+from tryon_jax.graph.build import GarmentGraph, build_graph, pad_rows
+from tryon_jax.graph.pooling import closest_on_triangles
+from tryon_jax.graph.resample import resample
 from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
+from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
 from tryon_jax.nets import store
 from tryon_jax.nets.config import SMALL, TryOnConfig
 from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape, init_mean_drape
 from tryon_jax.nets.unet import UNet, UNetConfig, apply_unet, init_unet
 from tryon_jax.types import ArrayLike, Body, pytree, static
+
+# A user's mesh is taken as it is when its mean triangle area is within this factor of what the networks know.
+_DENSITY_RANGE = 1.6
+# Half of the vertices of the widest simulated dress are within 0.03 m of the closest body vertex.
+_MAX_MEDIAN_DISTANCE = 0.12
 
 
 @pytree
@@ -47,6 +57,21 @@ class TryOnModel:
 
 
 @pytree
+class OwnMesh:
+    """A user's mesh, carried by the evenly spaced mesh that the networks see; padded like everything else."""
+
+    vertices: Float[ArrayLike, "*batch M 3"]
+    """On the mean body, metres."""
+    faces: Int[ArrayLike, "*batch G 3"]
+    """Triangles, padded with (0, 0, 0)."""
+    carriers: Int[ArrayLike, "*batch M 3"]
+    """Vertices of the graph between which each vertex lies."""
+    weights: Float[ArrayLike, "*batch M 3"]
+    """Their barycentric weights."""
+    num_vertices: Int[ArrayLike, "*batch"]
+
+
+@pytree
 class Garment:
     """A garment ready to drape, made by `prepare`; arrays are padded to the graph's size bucket.
 
@@ -61,22 +86,24 @@ class Garment:
     template_vertices: Int[ArrayLike, "*batch N 3"] | None = None
     """Template vertices whose weighted mean is each vertex of M̄ (W of section 2); None as `design`."""
     template_weights: Float[ArrayLike, "*batch N 3"] | None = None
+    own: OwnMesh | None = None
+    """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
 
     @property
     def num_vertices(self) -> int:
         """Number of real vertices V; host side, one garment."""
-        return int(self.graph.num_vertices)
+        return int(self.graph.num_vertices if self.own is None else self.own.num_vertices)
 
     @property
     def faces(self) -> Int[np.ndarray, "F 3"]:
         """Triangles without padding; host side, one garment."""
-        faces = np.asarray(self.graph.faces)
+        faces = np.asarray(self.graph.faces if self.own is None else self.own.faces)
         return faces[faces.any(axis=1)]
 
     @property
     def mean_vertices(self) -> Float[np.ndarray, "V 3"]:
         """M̄ without padding, metres; host side, one garment."""
-        return self.unpad(self.graph.vertices)
+        return self.unpad(self.graph.vertices if self.own is None else self.own.vertices)
 
     def unpad(self, vertices: Float[ArrayLike, "*batch N c"]) -> Float[np.ndarray, "*batch V c"]:
         """What `drape` returned, without the padded vertices; host side, one garment."""
@@ -146,6 +173,7 @@ def prepare(
     model: TryOnModel,
     design: Design | Mapping[str, float] | Sequence[float] | str | None = None,
     *,
+    mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray] | None = None,
     seed: int = 0,
     target_area: float | None = None,
     bucket: int | None = None,
@@ -156,17 +184,66 @@ def prepare(
         model: The model that will drape it.
         design: Parameters in metres by name (others take their means) or in order, the name of a preset, or a
             `Design`; None for the mean design.
+        mesh: In place of a design: a mesh of the user's own as it hangs on the mean body (a file, what
+            `load_garment` returned, or vertices and faces). It is repaired, and where its triangles are far from what
+            the networks know, an evenly spaced copy is draped and carries the user's own vertices.
         seed: Another seed gives another topology.
         target_area: Mean area of the triangles, square metres; by default what the networks were trained on.
         bucket: Number of nodes to pad to, see `build_graph`.
 
     Raises:
-        ValueError: for unknown or out-of-range parameters.
+        ValueError: for unknown or out-of-range parameters, a design and a mesh at once, a mesh that cannot be
+            repaired (see `load_garment`) or is not near the mean body.
+        FileNotFoundError: there is no such mesh file.
     """
+    area = model.config.target_area if target_area is None else target_area
+    if mesh is not None:
+        if design is not None:
+            raise ValueError("prepare takes a design or a mesh, not both")
+        return _prepare_own(model, _load_own(mesh), area, bucket)
     space = config_space(model.config)
-    chosen = _as_design(space, design)
-    mesh = remesh(space, chosen, model.config.target_area if target_area is None else target_area, seed=seed)
-    return prepare_mesh(model, mesh, bucket=bucket)
+    return prepare_mesh(model, remesh(space, _as_design(space, design), area, seed=seed), bucket=bucket)
+
+
+def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) -> LoadedGarment:
+    if isinstance(mesh, LoadedGarment):
+        return mesh
+    if isinstance(mesh, tuple):
+        return repair_mesh(np.asarray(mesh[0], float), np.asarray(mesh[1]))
+    return load_garment(mesh)
+
+
+def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: int | None) -> Garment:
+    starts = np.cumsum([0] + [len(piece.vertices) for piece in loaded.pieces])
+    vertices = np.concatenate([piece.vertices for piece in loaded.pieces])
+    faces = np.concatenate([piece.faces + start for piece, start in zip(loaded.pieces, starts, strict=False)])
+    distance, _ = cKDTree(np.asarray(model.body.v_template)).query(vertices)
+    if np.median(distance) > _MAX_MEDIAN_DISTANCE:
+        raise ValueError(
+            f"the mesh is not on the mean body: half of its vertices are more than {np.median(distance):.2f} m from it "
+            f"(at most {_MAX_MEDIAN_DISTANCE} m); it must stand in metres, y up, +z front, pelvis at the origin"
+        )
+    config = model.config
+    corners = vertices[faces]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    known = area / _DENSITY_RANGE <= areas.mean() <= area * _DENSITY_RANGE and areas.std() <= areas.mean()
+    points, triangles = (vertices, faces) if known else resample(vertices, faces, area)
+    graph = build_graph(
+        points, triangles, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+    )
+    smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
+    if known:
+        return Garment(graph, smoother)
+    face, weights = closest_on_triangles(vertices, points, triangles)
+    size = bucket_size(len(vertices))
+    own = OwnMesh(
+        vertices=pad_rows(vertices, size, np.float32),
+        faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
+        carriers=pad_rows(triangles[face], size, np.int32),
+        weights=pad_rows(weights, size, np.float32),
+        num_vertices=np.asarray(len(vertices), np.int32),
+    )
+    return Garment(graph, smoother, own=own)
 
 
 def _as_design(space: DesignSpace, design: Any) -> Design:
@@ -299,6 +376,16 @@ def base_and_detail(
     return (smoothed if config.reference == "smoothed" else vertices), vertices - smoothed
 
 
+def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]) -> Float[Array, "*batch M 3"]:
+    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other."""
+    own = garment.own
+    if own is None:
+        return moved
+    shift = (moved - mean.reshape((1,) * (moved.ndim - 2) + mean.shape))[..., jnp.asarray(own.carriers), :]
+    carried = jnp.einsum("mk,...mkc->...mc", jnp.asarray(own.weights), shift)
+    return carried + jnp.asarray(own.vertices).reshape((1,) * (moved.ndim - 2) + own.vertices.shape)
+
+
 def drape_stages(
     model: TryOnModel,
     garment: Garment,
@@ -324,10 +411,11 @@ def drape_stages(
     if config.reference == "smoothed":
         fine_vertices = fine_vertices + detail[:, None, :]
 
-    def unflatten(x: Float[Array, "N B 3"]) -> Float[Array, "*batch N 3"]:
-        return jnp.moveaxis(x, 0, 1).reshape(*betas.shape[:-1], *vertices.shape)
+    def finish(x: Float[Array, "N B 3"]) -> Float[Array, "*batch M 3"]:
+        moved = jnp.moveaxis(x, 0, 1).reshape(*betas.shape[:-1], *vertices.shape)
+        return carry(garment, moved, vertices)
 
-    return DrapeStages(vertices, unflatten(smooth_vertices), unflatten(fine_vertices))
+    return DrapeStages(carry(garment, vertices, vertices), finish(smooth_vertices), finish(fine_vertices))
 
 
 def drape(

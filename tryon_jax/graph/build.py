@@ -128,16 +128,17 @@ def build_graph(
         capacity *= 2
     return GarmentGraph(
         levels=levels,
-        vertices=_pad_rows(points, size, dtype),
-        faces=_pad_rows(np.asarray(faces), capacity, np.int32),
-        skinning_weights=_pad_rows(np.asarray(body.lbs_weights)[nearest], size, dtype),
-        body_vertices=_pad_rows(nearest, size, np.int32),
+        vertices=pad_rows(points, size, dtype),
+        faces=pad_rows(np.asarray(faces), capacity, np.int32),
+        skinning_weights=pad_rows(np.asarray(body.lbs_weights)[nearest], size, dtype),
+        body_vertices=pad_rows(nearest, size, np.int32),
         mask=np.arange(size) < num_vertices,
         num_vertices=np.asarray(num_vertices, np.int32),
     )
 
 
-def _pad_rows(array: np.ndarray, size: int, dtype: np.dtype | type) -> np.ndarray:
+def pad_rows(array: np.ndarray, size: int, dtype: np.dtype | type) -> np.ndarray:
+    """The array with zero rows added up to `size`."""
     padded = np.zeros((size, *array.shape[1:]), dtype)
     padded[: len(array)] = array
     return padded

@@ -21,8 +21,10 @@ from tryon_jax.mesh.topology import directed_edges, edge_keys
 MAX_VALENCE = 11
 """No collapse makes a vertex with more neighbours than this."""
 
+LENGTH_WEIGHT = 0.02
+"""Default weight of edge lengths beside the quadric errors."""
+
 _BORDER_WEIGHT = 10.0
-_LENGTH_WEIGHT = 0.02
 # Of the allowed collapses, a round considers the cheapest part, and performs at most this part of what is missing.
 _CHEAP_PART = 0.6
 _MIN_NORMAL_COSINE = 0.2
@@ -187,8 +189,16 @@ def _independent(adjacency: _Adjacency, drop: np.ndarray, n: int) -> Int[np.ndar
     return np.sort(np.concatenate(chosen)) if chosen else np.zeros(0, int)
 
 
-def coarsen(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "F 3"], target: int | None = None) -> CoarseMesh:
+def coarsen(
+    vertices: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "F 3"],
+    target: int | None = None,
+    length_weight: float = LENGTH_WEIGHT,
+) -> CoarseMesh:
     """Collapse edges until `target` vertices are left (default ⌈n/2⌉), or none may collapse.
+
+    `length_weight` says how much short edges are preferred to flat places: the default is for hierarchies, 1 and more
+    spreads the vertices evenly.
 
     Open borders shrink only along themselves, components and holes are kept. Fewer collapses than asked happen
     where the mesh is already as coarse as its topology allows (a lone triangle keeps its three vertices), and
@@ -215,7 +225,7 @@ def coarsen(vertices: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "F 3"], t
         if len(banned):
             allowed &= ~np.isin(drop * n + keep, banned)
         edge = points[drop] - points[keep]
-        regular = _LENGTH_WEIGHT * mean_area * np.einsum("hi,hi->h", edge, edge) * (count_in[drop] + count_in[keep])
+        regular = length_weight * mean_area * np.einsum("hi,hi->h", edge, edge) * (count_in[drop] + count_in[keep])
         own = np.einsum("nq,nq->n", quadric, position)
         cost = np.einsum("hq,hq->h", quadric[drop], position[keep]) + own[keep] + regular
         cost = np.where(allowed, cost, np.inf)

@@ -1,0 +1,117 @@
+"""The same two U-Nets in PyTorch Geometric: its ChebConv with the same weights, pooling by sparse matrices."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import torch
+from torch_geometric.nn import ChebConv
+
+from tryon_jax.graph import SparseOperator
+from tryon_jax.graph.smoothing import smooth
+from tryon_jax.nets import UNet
+from tryon_jax.tryon import Garment, TryOnModel
+
+
+def _sparse(operator: SparseOperator, rows: int, columns: int) -> torch.Tensor:
+    matrix = operator.to_bcoo()
+    index = torch.tensor(np.asarray(matrix.indices).T.astype(np.int64))
+    return (
+        torch.sparse_coo_tensor(index, torch.tensor(np.asarray(matrix.data)), (rows, columns))
+        .coalesce()
+        .to_sparse_csr()
+    )
+
+
+class PeerUNet(torch.nn.Module):
+    """One U-Net on one graph, samples [B, N, C] side by side as ChebConv wants them."""
+
+    def __init__(self, net: UNet, garment: Garment) -> None:
+        super().__init__()
+        self.config = net.config
+        depth = len(net.config.widths)
+        levels = garment.graph.levels[:depth]
+        counts = [int(np.sum(level.mask)) for level in levels]
+        self.edges, self.bounds = [], []
+        for level, count in zip(levels, counts, strict=True):
+            matrix = level.laplacian.to_bcoo()
+            index, data = np.asarray(matrix.indices), np.asarray(matrix.data)
+            self.edges.append(torch.tensor(index[index[:, 0] != index[:, 1]].T.astype(np.int64)))
+            # The diagonal of L̃ is 2 / λ − 1 wherever a node has an edge.
+            self.bounds.append(torch.tensor(2.0 / (1.0 + float(data[index[:, 0] == index[:, 1]].max()))))
+            assert count <= len(level.mask)
+        self.down = [_sparse(levels[i].down, counts[i + 1], counts[i]) for i in range(depth - 1)]
+        self.up = [_sparse(levels[i].up, counts[i], counts[i + 1]) for i in range(depth - 1)]
+        self.encoder = torch.nn.ModuleList([torch.nn.ModuleList([_conv(c) for c in convs]) for convs in net.encoder])
+        self.decoder = torch.nn.ModuleList([torch.nn.ModuleList([_conv(c) for c in convs]) for convs in net.decoder])
+        self.head = _conv(net.head)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """[B, N, C] to [B, N, 3]."""
+        skips = []
+        for level, convs in enumerate(self.encoder):
+            for conv in convs:
+                x = self._activate(conv(x, self.edges[level], lambda_max=self.bounds[level]))
+            skips.append(x)
+            if level + 1 < len(self.encoder):
+                x = _apply(self.down[level], x)
+        for level in range(len(self.decoder) - 1, -1, -1):
+            x = torch.cat([_apply(self.up[level], x), skips[level]], dim=-1)
+            for conv in self.decoder[level]:
+                x = self._activate(conv(x, self.edges[level], lambda_max=self.bounds[level]))
+        return self.head(x, self.edges[0], lambda_max=self.bounds[0])
+
+    def _activate(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.leaky_relu(x, 0.1)
+
+
+def _conv(params: Any) -> ChebConv:
+    order, inputs, outputs = params.weight.shape
+    conv = ChebConv(inputs, outputs, order, normalization="sym")
+    with torch.no_grad():
+        for k, linear in enumerate(conv.lins):
+            linear.weight.copy_(torch.tensor(np.asarray(params.weight[k]).T))
+        conv.bias.copy_(torch.tensor(np.asarray(params.bias)))
+    return conv
+
+
+def _apply(matrix: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    samples, nodes, width = x.shape
+    flat = x.transpose(0, 1).reshape(nodes, samples * width)
+    return (matrix @ flat).reshape(-1, samples, width).transpose(0, 1)
+
+
+def peer(
+    model: TryOnModel, garment: Garment, betas: jax.Array, forward: Callable[..., jax.Array]
+) -> tuple[Callable[[], Any], float]:
+    """A call that drapes in PyTorch Geometric, and its largest difference from the library's result in metres."""
+    config, count = model.config, garment.num_vertices
+    fabric = config.fabrics[0]
+    fine_stage = model.fine[fabric]
+    smooth_net, fine_net = PeerUNet(model.smooth.net, garment), PeerUNet(fine_stage.net, garment)
+    vertices = torch.tensor(np.asarray(garment.graph.vertices)[:count])
+    weights = torch.tensor(np.asarray(garment.graph.skinning_weights)[:count]) / config.weight_scale
+    detail = vertices - torch.tensor(np.asarray(smooth(garment.smoother, garment.graph.vertices))[:count])
+    base = vertices - detail if config.reference == "smoothed" else vertices
+    shapes = torch.tensor(np.asarray(betas))
+    batch = len(shapes)
+    scales = float(model.smooth.scale), float(fine_stage.scale)
+
+    def spread(x: torch.Tensor) -> torch.Tensor:
+        return x.expand(batch, -1, -1)
+
+    by_shape = shapes[:, None, :].expand(-1, count, -1) / config.beta_scale
+
+    def run() -> torch.Tensor:
+        with torch.no_grad():
+            x = torch.cat([spread(vertices / config.position_scale), spread(weights), by_shape], dim=-1)
+            smoothed = base + scales[0] * smooth_net(x)
+            parts = [smoothed / config.position_scale, spread(weights)]
+            parts += [by_shape] if config.fine_betas else []
+            parts += [spread(detail / config.detail_scale)] if config.fine_detail else []
+            fine = smoothed + scales[1] * fine_net(torch.cat(parts, dim=-1))
+            return fine + detail if config.reference == "smoothed" else fine
+
+    ours = np.asarray(forward(model, garment, betas))[:, :count]
+    return run, float(np.abs(ours - run().numpy()).max())
