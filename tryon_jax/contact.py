@@ -73,7 +73,7 @@ def build_surface(vertices: Float[ArrayLike, "V 3"], faces: Int[ArrayLike, "F 3"
         adjacent_faces=jnp.asarray(adjacent.astype(np.int32)),
         vertex_faces=jnp.asarray(ring.astype(np.int32)),
     )
-    return move_surface(surface, surface.vertices)
+    return move_surface(surface, jnp.asarray(vertices))
 
 
 def move_surface(surface: Surface, vertices: Float[Array, "V 3"]) -> Surface:

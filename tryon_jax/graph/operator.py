@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
+from jax.core import ShapedArray
 from jax.experimental.sparse import BCOO
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -235,7 +236,7 @@ def _jvp(primals: Sequence[Any], tangents: Sequence[Any]) -> tuple[Any, Any]:
     product = _product.bind(*primals)
     tangent = tangents[-1]
     if type(tangent) is ad.Zero:
-        return product, ad.Zero.from_primal_value(product)
+        return product, ad.Zero.from_primal_value(product)  # pyright: ignore[reportAttributeAccessIssue]
     return product, _product.bind(*primals[:-1], tangent)
 
 
@@ -243,7 +244,7 @@ def _batch(operands: Sequence[Any], axes: Sequence[int | None]) -> tuple[Any, in
     *lists, features = operands
     if all(axis is None for axis in axes[:-1]):
         # A batch of features is a wider matrix of features.
-        features = jnp.moveaxis(features, axes[-1], 1)
+        features = jnp.moveaxis(features, axes[-1] or 0, 1)
         count, width = features.shape[1:]
         product = _product.bind(*lists, features.reshape(features.shape[0], -1))
         return product.reshape(-1, count, width), 1
@@ -275,9 +276,9 @@ def _join_lists(lists: Sequence[Any], num_rows: int, num_columns: int) -> list[A
     return [flatten(columns + shift), flatten(weights), *tail]
 
 
-def _abstract(*operands: Any) -> jax.core.ShapedArray:
+def _abstract(*operands: Any) -> ShapedArray:
     columns, features = operands[0], operands[-1]
-    return jax.core.ShapedArray((columns.shape[-1], features.shape[1]), features.dtype)
+    return ShapedArray((columns.shape[-1], features.shape[1]), features.dtype)
 
 
 _execute_on_cpu = partial(_execute, gather_sum=_gather_sum_alone)

@@ -76,4 +76,4 @@ def apply_mean_drape(params: MeanDrape, design: Float[Array, " P"]) -> Float[Arr
     """T̄ = R_mean(p), metres."""
     normalised = (design - params.design_center) / params.design_scale
     output = apply_mlp(params.mlp, normalised).reshape(params.template_center.shape)
-    return params.template_center + params.template_scale * output
+    return jnp.asarray(params.template_center) + params.template_scale * output

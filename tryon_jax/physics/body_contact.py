@@ -57,7 +57,7 @@ def pressure(
     inside = jnp.minimum(depth / thickness, 1.0)
     slope = (law.soft + law.hard * inside * inside) * (approach > 0)
     value = law.soft * depth + law.hard * (inside**3 * thickness / 3 + inside**2 * (depth - inside * thickness))
-    return value, slope
+    return jnp.asarray(value), jnp.asarray(slope)
 
 
 def body_contact(

@@ -121,10 +121,7 @@ def dress(
     still = replace(drape.state, velocity=jnp.zeros_like(x), slip=jnp.zeros_like(x))
     drape = replace(drape, state=still)
     refresh, goal = equilibrium.refresh, equilibrium.tolerance
-    drape = _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
-    if not np.isfinite(drape.vertices).all():
-        raise ValueError(f"the drape diverged: fabric {fabric.name!r}, {count} vertices, betas {list(betas)}")
-    return drape
+    return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
 
 
 def follow(
@@ -137,9 +134,13 @@ def follow(
     equilibrium: Equilibrium,
     self_contact: SelfContact | None = None,
 ) -> Drape:
-    """Carry a drape to another body shape nearby and let it come to rest."""
+    """Carry a drape to another body shape nearby and let it come to rest.
+
+    Raises:
+        ValueError: the simulation left the numbers.
+    """
     surface = obstacle.surface(np.asarray(betas, float))
-    motion = surface.vertices - drape.surface.vertices
+    motion = jnp.asarray(surface.vertices) - jnp.asarray(drape.surface.vertices)
     moved = replace(drape, betas=np.asarray(betas, float), surface=surface, report=_no_report())
     goal, most, refresh = equilibrium.tolerance, equilibrium.max_steps, equilibrium.refresh
     return _settle(moved, cloth, fabric, settings, goal, most, refresh, motion, self_contact)
@@ -212,5 +213,8 @@ def _settle(
         state, report = _solve(state, cloth, fabric, drape.surface, settings, motion, free, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
+        if not np.isfinite(np.asarray(state.x)).all():
+            where = f"fabric {fabric.name!r}, {drape.num_vertices} vertices, betas {drape.betas.tolist()}"
+            raise ValueError(f"the drape diverged after {steps} steps: {where}")
     total = replace(report, steps=jnp.asarray(steps), iterations=jnp.asarray(iterations))
     return replace(drape, state=state, report=total)

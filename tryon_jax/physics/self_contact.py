@@ -29,13 +29,14 @@ class SelfContact:
 
     thickness: float = 4e-3
     """Distance between layers at which contact begins, metres."""
-    reach: float = 2e-2
-    """Distance within which pairs are found, metres: more than vertices approach each other between two searches."""
+    reach: float = 3e-2
+    """Distance within which pairs are found, metres: more than vertices approach each other between two searches, at
+    most `refresh` times the solver's largest move (from either side)."""
     rings: int = 2
     """Triangles up to this many edges away from a vertex belong to the same part of the cloth."""
     capacity: int = 1024
     """Pairs that fit at first; doubled when they do not."""
-    refresh: int = 5
+    refresh: int = 3
     """Steps after which pairs are searched anew."""
 
 
@@ -117,25 +118,34 @@ def self_contact(
     """
     corners = x[pairs.triangle]
     point = x[pairs.vertex]
-    weights = closest_point_on_triangle(point, corners[:, 0], corners[:, 1], corners[:, 2])
-    offset = point - jnp.einsum("pk,pkc->pc", weights, corners)
-    normal = jnp.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    # A safe square root: padding names one vertex three times.
-    normal = normal / jnp.sqrt((normal * normal).sum(-1, keepdims=True) + 1e-24)
+    closest = closest_point_on_triangle(point, corners[:, 0], corners[:, 1], corners[:, 2])
+    offset = point - jnp.einsum("pk,pkc->pc", closest, corners)
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    normal = jnp.cross(first, second)
+    squared = (normal * normal).sum(-1) + 1e-24
+    # Where the vertex projects onto the triangle's plane: these weights make the force a gradient, free of torque.
+    arm = point - corners[:, 0]
+    u = (jnp.cross(arm, second) * normal).sum(-1) / squared
+    v = (jnp.cross(first, arm) * normal).sum(-1) / squared
+    weights = jnp.stack([1 - u - v, u, v], axis=-1)
+    normal = normal / jnp.sqrt(squared)[:, None]
     along = (offset * normal).sum(-1)
     beyond = jnp.sqrt(jnp.maximum((offset * offset).sum(-1) - along * along, 0.0))
     felt = (pairs.side != 0) & (beyond < EDGE_MARGIN * pairs.thickness)
     approach = jnp.where(felt, pairs.thickness - pairs.side * along, 0.0)
     area = jnp.asarray(vertex_areas)[pairs.vertex]
-    value, _ = pressure(approach, pairs.thickness, law)
-    _, slope = pressure(approach + jnp.where(approach > 0, margin, 0.0), pairs.thickness, law)
+    thickness = jnp.asarray(pairs.thickness)
+    value, _ = pressure(approach, thickness, law)
+    _, slope = pressure(approach + jnp.where(approach > 0, margin, 0.0), thickness, law)
     force = (area * value * pairs.side)[:, None] * normal
-    block = (2 * area * slope)[:, None, None] * normal[:, :, None] * normal[:, None, :]
+    size = 1 + jnp.abs(weights).sum(-1)
+    block = (size * area * slope)[:, None, None] * normal[:, :, None] * normal[:, None, :]
 
+    weights = jnp.where(felt[:, None], weights, 0.0)
     gradient = jnp.zeros_like(x).at[pairs.vertex].add(-force)
     gradient = gradient.at[pairs.triangle].add(weights[:, :, None] * force[:, None, :])
     blocks = jnp.zeros((len(x), 3, 3), x.dtype).at[pairs.vertex].add(block)
-    blocks = blocks.at[pairs.triangle].add(weights[:, :, None, None] * block[:, None])
+    blocks = blocks.at[pairs.triangle].add(jnp.abs(weights)[:, :, None, None] * block[:, None])
     return gradient, blocks
 
 
@@ -151,7 +161,7 @@ def _far_apart(faces: np.ndarray, num_vertices: int, rings: int, vertex: np.ndar
         around.data[:] = 1
     keys = np.repeat(np.arange(num_vertices), np.diff(around.indptr)) * num_vertices + around.indices
     wanted = vertex.astype(np.int64)[:, None] * num_vertices + faces[face]
-    return ~np.isin(wanted, keys).any(axis=1)
+    return np.asarray(~np.isin(wanted, keys).any(axis=1))
 
 
 def _keep_sides(

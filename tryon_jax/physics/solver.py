@@ -141,8 +141,8 @@ def step(
     right = (mass / h * settings.retention)[:, None] * state.velocity - gradient + drag
     move, iterations = conjugate_gradients(
         blocks,
-        cloth.neighbours,
-        right * cloth.active[:, None],
+        jnp.asarray(cloth.neighbours),
+        jnp.asarray(right * cloth.active[:, None]),
         jnp.asarray(settings.linear_tolerance, dtype),
         jnp.asarray(settings.linear_iterations, jnp.int32),
     )

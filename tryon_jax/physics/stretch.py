@@ -102,7 +102,7 @@ def face_gradient(gradients: Float[Array, "F 3 2"], s: Float[Array, "F 3"], clot
     u, v = gradients[..., 0], gradients[..., 1]
     first = u * s[:, None, 0] + v * s[:, None, 2]
     second = u * s[:, None, 2] + v * s[:, None, 1]
-    b = cloth.shape_gradients * cloth.face_areas[:, None, None]
+    b = jnp.asarray(cloth.shape_gradients) * jnp.asarray(cloth.face_areas)[:, None, None]
     return b[:, :, 0, None] * first[:, None, :] + b[:, :, 1, None] * second[:, None, :]
 
 

@@ -24,7 +24,7 @@ from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.stages import predict_fine, predict_smooth
 from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
-from tryon_jax.types import pytree
+from tryon_jax.types import ArrayLike, pytree
 
 COLLISION_WEIGHT = 100.0
 """Balances a mean over all vertices, of which a percent or two collide, with the anchor."""
@@ -58,7 +58,7 @@ class PooledGarment:
     """A prepared garment and the closest vertex of the mean body to each of its vertices."""
 
     garment: Garment
-    nearest: Int[Array, "*batch N"]
+    nearest: Int[ArrayLike, "*batch N"]
 
 
 @pytree
@@ -66,7 +66,7 @@ class CollisionBatch:
     """G garments of one bucket, B random shapes each."""
 
     pooled: PooledGarment
-    betas: Float[Array, "G B b"]
+    betas: Float[ArrayLike, "G B b"]
 
 
 def random_betas(rng: np.random.Generator, count: int, num_betas: int) -> Float[np.ndarray, "N b"]:
@@ -166,7 +166,7 @@ def draw_collisions(
     pool: Sequence[PooledGarment], options: CollisionOptions, num_betas: int, rng: np.random.Generator
 ) -> CollisionBatch:
     """A batch of garments that share a bucket, with random shapes."""
-    first = pool[rng.integers(len(pool))]
+    first = pool[int(rng.integers(len(pool)))]
     group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
     chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
     betas = np.stack([random_betas(rng, options.shapes, num_betas) for _ in chosen])

@@ -26,7 +26,7 @@ from tryon_jax.tryon import (
     smooth_features,
     stack_garments,
 )
-from tryon_jax.types import pytree
+from tryon_jax.types import ArrayLike, pytree
 
 FineTarget = Literal["predicted", "smoothed"]
 CHUNK = 16
@@ -39,10 +39,10 @@ class StageBatch:
 
     garments: Garment
     """Stacked along a leading axis G."""
-    betas: Float[Array, "G B b"]
-    inputs: Float[Array, "G B N 3"]
+    betas: Float[ArrayLike, "G B b"]
+    inputs: Float[ArrayLike, "G B N 3"]
     """M_smooth as R_fine sees it; zeros for R_smooth, which does not look."""
-    targets: Float[Array, "G B N 3"]
+    targets: Float[ArrayLike, "G B N 3"]
     """Vertices to be predicted, metres."""
 
 
