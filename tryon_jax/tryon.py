@@ -277,7 +277,7 @@ def prepare_mesh(
     if vertices is None:
         template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(design)))
         vertices = np.einsum("vk,vkc->vc", mesh.template_weights, template[mesh.template_vertices])
-    points = check_finite("garment vertices", vertices)
+    points = check_finite("garment vertices", np.asarray(vertices))
     config = model.config
     graph = build_graph(
         points, mesh.faces, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket

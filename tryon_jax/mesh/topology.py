@@ -21,9 +21,7 @@ def edge_keys(edges: Int[IntArray, "N 2"], num_vertices: int) -> Int[IntArray, "
     return low.astype(np.int64) * num_vertices + high
 
 
-def unique_edges(
-    faces: Int[IntArray, "F 3"], num_vertices: int
-) -> tuple[Int[IntArray, "E 2"], Int[IntArray, " E"]]:
+def unique_edges(faces: Int[IntArray, "F 3"], num_vertices: int) -> tuple[Int[IntArray, "E 2"], Int[IntArray, " E"]]:
     """Undirected edges (smaller index first, sorted) and the number of faces at each."""
     keys, counts = np.unique(edge_keys(directed_edges(faces), num_vertices), return_counts=True)
     return np.stack([keys // num_vertices, keys % num_vertices], axis=1), counts
@@ -58,9 +56,7 @@ def border_loops(faces: Int[IntArray, "F 3"], num_vertices: int) -> list[Int[Int
     return loops
 
 
-def hinges(
-    faces: Int[IntArray, "F 3"], num_vertices: int
-) -> tuple[Int[IntArray, "H 4"], Int[IntArray, "H 2"]]:
+def hinges(faces: Int[IntArray, "F 3"], num_vertices: int) -> tuple[Int[IntArray, "H 4"], Int[IntArray, "H 2"]]:
     """Pairs of faces that share an edge.
 
     Returns vertices (a, b, c, d), where edge a→b is directed as in the first face, c is opposite in the first face
