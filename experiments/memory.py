@@ -11,10 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.record import measure
-from experiments._record import RESULTS, write_result
+from experiments._record import RESULTS, describe_model, write_result
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig
 from tryon_jax.nets.unet import init_unet
-from tryon_jax.tryon import drape, init_model, prepare
+from tryon_jax.training.recipes import model_path
+from tryon_jax.tryon import TryOnModel, drape, load_model, prepare
 
 PAPER_MEGABYTES = {"ours": 71.0, "fully connected": 167.0}
 DENSE_VERTICES = 17_246
@@ -30,8 +31,8 @@ class Config:
     """Folder for the record."""
     designs: tuple[str, ...] = ("tshirt", "maxi-dress")
     """Presets that are draped."""
-    sizes: tuple[str, ...] = ("small",)
-    """Configurations that are timed; weights are counted for small and paper."""
+    run: Path = Path("runs/small")
+    """Folder of the run whose model drapes them."""
     repeats: int = 20
     """Timed drapes of each."""
 
@@ -64,26 +65,26 @@ def main(config: Config) -> None:
     """Count, drape and report."""
     inputs = len(("sleeve_length", "chest", "length")) + SMALL.num_betas
     layers = dense_layers(PAPER_MEGABYTES["fully connected"], inputs, 3 * DENSE_VERTICES)
+    model = load_model(model_path(config.run))
     results: dict[str, Any] = {
         "weights": {"small": stage_bytes(SMALL), "paper": stage_bytes(PAPER), "fully connected": dense_bytes(layers)},
         "dense_layers": layers,
-        "drapes": [_drape(size, design, config.repeats) for size in config.sizes for design in config.designs],
+        "drapes": [_drape(model, design, config.repeats) for design in config.designs],
     }
-    path = write_result(config.out, "memory", config, results)
+    path = write_result(config.out, "memory", config, results, model=describe_model(model_path(config.run)))
     for line in markdown(results):
         print(line)
     print(f"wrote {path}")
 
 
-def _drape(size: str, design: str, repeats: int) -> dict[str, Any]:
-    model = init_model(jax.random.key(0), {"small": SMALL, "paper": PAPER}[size])
+def _drape(model: TryOnModel, design: str, repeats: int) -> dict[str, Any]:
     garment = jax.device_put(prepare(model, design))
     betas = jnp.array([1.0, -0.5])
-    compiled = jax.jit(drape, static_argnames="fabric").lower(model, garment, betas, fabric=SMALL.fabrics[0]).compile()
+    fabric = model.config.fabrics[0]
+    compiled = jax.jit(drape, static_argnames="fabric").lower(model, garment, betas, fabric=fabric).compile()
     analysis = compiled.memory_analysis()
     timing = measure(compiled, model, garment, betas, repeats=repeats)
     return {
-        "size": size,
         "design": design,
         "vertices": garment.num_vertices,
         "working_bytes": None if analysis is None else int(analysis.temp_size_in_bytes),
@@ -118,7 +119,7 @@ def markdown(results: dict[str, Any]) -> list[str]:
         working = "–" if row["working_bytes"] is None else f"{row['working_bytes'] / 1e6:.1f}"
         low, high = row["quartiles_ms"]
         lines.append(
-            f"| {row['size']}, {row['design']} | {row['vertices']} | {working} | {row['argument_bytes'] / 1e6:.1f} | "
+            f"| {row['design']} | {row['vertices']} | {working} | {row['argument_bytes'] / 1e6:.1f} | "
             f"{row['median_ms']:.1f} ({low:.1f} to {high:.1f}) |"
         )
     return lines

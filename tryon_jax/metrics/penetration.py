@@ -13,8 +13,8 @@ from tryon_jax.contact import Surface, build_surface, closest_faces, move_surfac
 from tryon_jax.training.inspect import EXTREMITIES, FACE_SAMPLES
 from tryon_jax.types import ArrayLike, Body
 
-# Points are padded to multiples of this, so that few sizes are compiled.
-_BUCKET = 1024
+# Points go through in parts of this size, so that one size is compiled.
+_CHUNK = 4096
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,14 @@ class ShapedSkin:
     def signed_distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " P"]:
         """Distance of each point from the skin, metres, negative inside; infinite beside hands and feet."""
         nearest = self._tree.query(points)[1].astype(np.int32)
-        size = -(-len(points) // _BUCKET) * _BUCKET
-        padded = np.zeros((size, 3), np.float32)
-        padded[: len(points)] = points
-        rows = np.zeros(size, np.int32)
-        rows[: len(points)] = nearest
-        distance = np.array(_signed(self._surface, jnp.asarray(padded), jnp.asarray(rows)))[: len(points)]
+        size = -(-len(points) // _CHUNK) * _CHUNK
+        padded, start = np.zeros((size, 3), np.float32), np.zeros(size, np.int32)
+        padded[: len(points)], start[: len(points)] = points, nearest
+        parts = [
+            np.asarray(_signed(self._surface, jnp.asarray(padded[k : k + _CHUNK]), jnp.asarray(start[k : k + _CHUNK])))
+            for k in range(0, size, _CHUNK)
+        ]
+        distance = np.concatenate(parts)[: len(points)] if parts else np.zeros(0, np.float32)
         distance[self._left_out[nearest]] = np.inf
         return distance
 
