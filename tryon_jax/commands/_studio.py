@@ -16,13 +16,12 @@ from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_design
 from tryon_jax.fit import Fit, measure_fit, pattern_of
 from tryon_jax.garment import Design, remesh
-from tryon_jax.graph.build import build_graph
-from tryon_jax.graph.smoothing import make_smoother
-from tryon_jax.mesh.repair import load_garment
+from tryon_jax.graph.build import closest_body_vertices
+from tryon_jax.mesh.repair import LoadedGarment, load_garment
 from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.posing import pose_dressed, soft_skinning
 from tryon_jax.pushout import PushedOut, push_out
-from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
+from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare, prepare_mesh
 
 
 @dataclass(frozen=True)
@@ -136,11 +135,13 @@ class Studio:
     def pose(self, draped: Draped, pose: Float[np.ndarray, "J 3"]) -> Draped:
         """The same body and garment in another pose; the report of the fit stays that of the T-pose."""
         with self.clock.stage("pose"):
-            weights = np.asarray(draped.prepared.garment.graph.skinning_weights)[: len(draped.vertices)]
+            body = self.model.body
+            nearest = closest_body_vertices(draped.prepared.garment.mean_vertices, body)
+            weights = np.asarray(body.lbs_weights)[nearest]
             soft = soft_skinning(weights, draped.prepared.faces)
             points, faces = draped.body
-            body, garment = pose_dressed(self.model.body, points, draped.vertices, soft, pose.astype(np.float32))
-        return replace(draped, body=(np.asarray(body), faces), vertices=np.asarray(garment))
+            posed, garment = pose_dressed(body, points, draped.vertices, soft, pose.astype(np.float32))
+        return replace(draped, body=(np.asarray(posed), faces), vertices=np.asarray(garment))
 
     def prepare(self, cut: Cut) -> Prepared:
         """The garment of a design, made once for each."""
@@ -159,20 +160,22 @@ class Studio:
         if path not in self._prepared:
             with self.clock.stage("mesh"):
                 loaded = load_garment(path)
-                piece = loaded.pieces[0]
-                uv, faces_uv = pattern_of(piece.vertices, piece.faces, piece.uv, piece.faces_uv)
-            remarks = [f"note     {repair}" for repair in loaded.repairs]
-            if len(loaded.pieces) > 1:
-                remarks.append(f"note     only the largest of {len(loaded.pieces)} pieces is draped")
-            model = self.model
             with self.clock.stage("graph"):
-                options = {"num_levels": model.config.num_levels, "pooling": model.config.pooling}
-                graph = build_graph(piece.vertices, piece.faces, model.body, **options)
-                smoother = make_smoother(piece.vertices, piece.faces, model.config.smoothing_length, graph.num_nodes)
-            self._prepared[path] = Prepared(
-                Garment(graph, smoother), piece.faces, uv, faces_uv, path.name, tuple(remarks)
-            )
+                garment = prepare(self.model, mesh=loaded)
+            uv, faces_uv = pattern_of(garment.mean_vertices, garment.faces, *_texture(loaded))
+            remarks = tuple(f"note     {repair}" for repair in loaded.repairs)
+            self._prepared[path] = Prepared(garment, garment.faces, uv, faces_uv, path.name, remarks)
         return self._prepared[path]
+
+
+def _texture(loaded: LoadedGarment) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Texture coordinates of all pieces together, or nothing where a piece has none."""
+    uv = [piece.uv for piece in loaded.pieces if piece.uv is not None]
+    faces_uv = [piece.faces_uv for piece in loaded.pieces if piece.faces_uv is not None]
+    if not len(uv) == len(faces_uv) == len(loaded.pieces):
+        return None, None
+    starts = np.cumsum([0, *(len(one) for one in uv[:-1])])
+    return np.concatenate(uv), np.concatenate([f + start for f, start in zip(faces_uv, starts, strict=True)])
 
 
 def _words(pushed: PushedOut) -> str:
