@@ -98,7 +98,7 @@ def soundness(config: Config) -> list[dict[str, Any]]:
                 same = (now.euler, now.loops, now.components) == (before.euler, before.loops, before.components)
                 sound &= same and now.is_manifold
                 ratios.append(len(coarse.kept) / len(fine))
-                worst.append(float(angles(fine[coarse.kept], coarse.faces).min()))
+                worst.append(float(np.degrees(angles(fine[coarse.kept], coarse.faces).min())))
             bad += not sound
             fine, coarse = vertices, step(vertices, faces)
             for pooling, values in trips.items():
@@ -110,7 +110,7 @@ def soundness(config: Config) -> list[dict[str, Any]]:
                 "hierarchy": name,
                 "designs with a bad level": f"{bad} of {len(meshes)}",
                 "vertex ratio": f"{min(ratios):.4f} to {max(ratios):.4f}",
-                "smallest angle": min(worst),
+                "smallest angle, degrees": min(worst),
                 "round trip averaged, mm": float(np.mean(trips["average"])),
                 "round trip selected, mm": float(np.mean(trips["select"])),
                 "padding, mean": float(np.mean(shares)),

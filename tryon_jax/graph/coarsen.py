@@ -1,8 +1,8 @@
 """Halve the vertices of a mesh by quadric edge collapse (Garland and Heckbert 1997), many collapses at a time.
 
 A collapse d → k moves vertex d onto its neighbour k (half-edge collapse), so every coarse vertex is one of the fine
-ones. Each round evaluates the cheapest allowed collapse of every vertex and performs a set of them whose
-neighbourhoods are disjoint: the result is that of the sequential method with slightly relaxed order, the exact
+ones. Each round evaluates the cheapest allowed collapse of every vertex and performs a set of them that do not
+touch each other: the result is that of the sequential method with slightly relaxed order, the exact
 vertex count is met, and everything is NumPy. Sequential implementations that take a face count as their target
 overshoot the vertex count, move or freeze borders and can pinch the surface; here a collapse is refused when it
 would change the topology (link condition), flip or flatten a triangle, pull a border inwards or raise a valence
@@ -171,22 +171,45 @@ def _spread(adjacency: _Adjacency, values: np.ndarray) -> np.ndarray:
     return result
 
 
-def _independent(adjacency: _Adjacency, drop: np.ndarray, n: int) -> Int[np.ndarray, " s"]:
-    """A subset of the candidates, given in order of preference, whose closed neighbourhoods are pairwise disjoint."""
+def _independent(adjacency: _Adjacency, drop: np.ndarray, keep: np.ndarray, n: int) -> Int[np.ndarray, " s"]:
+    """Candidates, given in order of preference, that can all be performed at once.
+
+    No dropped vertices are neighbours, so no triangle has two of them; no vertex is kept twice; and of two collapses
+    whose kept vertices are both neighbours of the other's dropped one only one is done, since together they would
+    join the same two vertices by two edges.
+    """
     big = len(drop)
     rank = np.full(n, big)
     rank[drop] = np.arange(big)
-    chosen = []
-    for _ in range(4):
-        best = _spread(adjacency, _spread(adjacency, rank))
-        winners = np.flatnonzero((rank < big) & (best == rank))
+    chosen = np.zeros(0, np.int64)
+    for _ in range(3):
+        winners = np.sort(rank[np.flatnonzero((rank < big) & (_spread(adjacency, rank) == rank))])
         if not len(winners):
             break
-        chosen.append(rank[winners])
-        taken = np.full(n, 1)
-        taken[winners] = 0
-        rank[_spread(adjacency, _spread(adjacency, taken)) == 0] = big
-    return np.sort(np.concatenate(chosen)) if chosen else np.zeros(0, int)
+        _, first = np.unique(keep[winners], return_index=True)
+        chosen = _without_crossings(adjacency, drop, keep, np.sort(np.concatenate([chosen, winners[first]])), n)
+        taken = np.ones(n, np.int8)
+        taken[drop[chosen]] = 0
+        rank[_spread(adjacency, taken) == 0] = big
+        rank[drop[winners]] = big
+        kept = np.zeros(n, bool)
+        kept[keep[chosen]] = True
+        rank[drop[kept[keep]]] = big
+    return chosen
+
+
+def _without_crossings(
+    adjacency: _Adjacency, drop: np.ndarray, keep: np.ndarray, chosen: np.ndarray, n: int
+) -> Int[np.ndarray, " s"]:
+    """Leave out the less preferred of two collapses that each keep a neighbour of the vertex the other drops."""
+    keeper_of = np.full(n, -1)
+    keeper_of[keep[chosen]] = chosen
+    ring = adjacency.rings(drop[chosen])
+    other = np.where(ring >= 0, keeper_of[ring], -1)
+    row, column = np.nonzero((other >= 0) & (other != chosen[:, None]))
+    one, two = chosen[row], other[row, column]
+    mutual = np.isin(one * n + two, two * n + one)
+    return np.setdiff1d(chosen, np.maximum(one, two)[mutual], assume_unique=True)
 
 
 def coarsen(
@@ -245,7 +268,7 @@ def coarsen(
         refused = best[~ok]
         banned = np.concatenate([banned, drop[refused] * n + keep[refused]])
         best = best[ok]
-        best = best[_independent(adjacency, drop[best], n)][:missing]
+        best = best[_independent(adjacency, drop[best], keep[best], n)][:missing]
         if not len(best):
             if not len(refused):
                 break
