@@ -193,8 +193,10 @@ def test_store_round_trip_and_mismatches(model, tmp_path):
     for a, b in zip(jax.tree.leaves(model), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(a, b)
     other = dataclasses.replace(load_body(), v_template=np.asarray(load_body().v_template) * 1.01, name="larger")
-    with pytest.raises(ValueError, match=r"body\.hash: .*body\.name: 'female', not 'larger'"):
+    with pytest.raises(ValueError, match="body") as refusal:
         load_model(path, body=other)
+    assert "body.hash" in str(refusal.value)
+    assert "body.name" in str(refusal.value)
 
 
 def test_bad_input_is_named(model, garment):
