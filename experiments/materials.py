@@ -143,6 +143,12 @@ def markdown(results: dict[str, Any]) -> list[str]:
     for name, found in results["folds"].items():
         lines.append(f"| {name} | {found['curvature']:.1f} | {found['sharp']:.1f} | {found['concave']:.3f} |")
     apart = results["fabrics_apart_mm"]
+    ratios = [
+        results["folds"][f"{kind} {fabrics[1]}"]["curvature"] / results["folds"][f"{kind} {fabrics[0]}"]["curvature"]
+        for kind in ("predicted", "simulated")
+    ]
+    # At least half of the simulated difference, on a logarithmic scale, and in the same direction.
+    alike = np.log(ratios[0]) * np.sign(np.log(ratios[1])) >= 0.5 * abs(np.log(ratios[1]))
     verdict = "supported" if (np.diag(matrix) < np.diag(matrix[:, ::-1])).all() else "not supported"
     return [
         *lines,
@@ -151,4 +157,8 @@ def markdown(results: dict[str, Any]) -> list[str]:
         f"the two differences correlate by {results['difference_correlation']:.2f}.",
         "",
         f"On average each prediction is nearer to its own fabric's simulation than to the other's: {verdict}.",
+        "",
+        f"Predicted folds tell the fabrics apart by half as much as simulated ones or more: "
+        f"{'supported' if alike else 'not supported'} (curvature of {fabrics[1]} ÷ {fabrics[0]}: "
+        f"{ratios[0]:.2f} predicted, {ratios[1]:.2f} simulated).",
     ]

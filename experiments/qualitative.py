@@ -68,7 +68,7 @@ def main(config: Config) -> None:
         vertices = garment.unpad(run(model, garment, betas, fabric=config.fabric))
         faces = garment.faces
         for k, shape in enumerate(betas):
-            title = f"{label.removeprefix('unseen-')} · β {shape[0]:g}, {shape[1]:g}"
+            title = f"{label.removeprefix('unseen-')} · betas {shape[0]:g}, {shape[1]:g}"
             items.append(SheetItem((bodies[k], np.asarray(model.body.faces)), (vertices[k], faces), title, color))
             found = skin.at(shape).penetration(vertices[k], faces)
             strain = area_strain(vertices[k], faces, mesh.uv, mesh.faces_uv)

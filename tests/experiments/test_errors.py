@@ -47,6 +47,9 @@ def test_shapes_interpolate_exactly_where_known_and_linearly_between():
     np.testing.assert_allclose(weights @ (known @ np.array([2.0, -1.0]) + 0.5), wanted @ np.array([2.0, -1.0]) + 0.5)
     # Too few shapes for a plane: the closest one.
     np.testing.assert_array_equal(shape_weights(known[:2], wanted), [[1, 0], [0, 1]])
+    # Shapes on a line say nothing about what lies beside it: without this a plate through them explodes.
+    line = np.linspace(0, 1, 6)[:, None] * np.array([[1.0, 1.0]])
+    assert shape_weights(line, np.array([[0.0, 1.0]])).max() == 1.0
 
 
 def test_a_pattern_map_finds_the_same_place_of_the_cloth(tmp_path):

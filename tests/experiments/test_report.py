@@ -89,9 +89,15 @@ def test_the_verdict_on_materials(matrix, verdict):
         "own_nearer_share": [1.0, 0.5],
         "fabrics_apart_mm": {"predicted": 1.0, "simulated": 2.0},
         "difference_correlation": 0.5,
-        "folds": {"predicted a": {"curvature": 1.0, "sharp": 2.0, "concave": 0.5}},
+        "folds": {
+            f"{kind} {fabric}": {"curvature": value, "sharp": 2.0, "concave": 0.5}
+            for kind, values in (("predicted", (1.0, 1.1)), ("simulated", (1.0, 1.3)))
+            for fabric, value in zip("ab", values, strict=True)
+        },
     }
-    assert verdict in materials.markdown(results)[-1]
+    assert verdict in materials.markdown(results)[-3]
+    # A third of the simulated difference on a logarithmic scale.
+    assert "not supported (curvature of b ÷ a: 1.10 predicted, 1.30 simulated)" in materials.markdown(results)[-1]
 
 
 def test_collisions_before_and_after():
