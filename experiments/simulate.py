@@ -27,9 +27,9 @@ class Config:
     """Shape coefficients that vary: 2, or the paper's 1."""
     rays: int = 25
     """Rays of body shapes (at most 25 with two betas, 2 with one); the first ones cover all directions evenly."""
-    part: Literal["training", "unseen", "topologies"] = "training"
-    """training: the training designs and topologies; unseen: the 6 unseen designs; topologies: 7 unseen topologies of
-    one training design."""
+    part: Literal["training", "additional", "unseen", "topologies"] = "training"
+    """training: the 19 training designs in both topologies; additional: further training designs in one; unseen: the
+    6 unseen designs; topologies: 7 unseen topologies of one training design."""
     topology_design: str = "tshirt"
     """Design of `--part topologies`."""
     templates: int = 120
@@ -59,6 +59,8 @@ def main(config: Config) -> None:
     templates = config.templates
     if config.part != "training":
         templates = 0
+    if config.part == "additional":
+        designs, seeds = [design.label for design in manifest.additional], manifest.training_seeds[:1]
     if config.part == "unseen":
         designs, seeds = [design.label for design in manifest.unseen], manifest.training_seeds[:1]
     if config.part == "topologies":

@@ -109,8 +109,15 @@ def test_manifest() -> None:
     manifest = load_manifest()
     assert (len(manifest.training), len(manifest.unseen)) == (19, 6)
     assert (len(manifest.training_seeds), len(manifest.test_seeds)) == (2, 7)
-    assert len({d.label for d in manifest.designs}) == 25
-    assert len({tuple(d.values) for d in manifest.designs}) == 25
+    assert len(manifest.additional) == 16
+    assert set(manifest.validation) < {d.label for d in manifest.additional}
+    assert len({d.label for d in manifest.designs}) == 41
+    assert len({tuple(d.values) for d in manifest.designs}) == 41
+    assert len(manifest.training_garments(additional=False)) == 38
+    assert len(manifest.training_garments()) == 54
+    assert manifest.split("additional-0", manifest.training_seeds[0]) == "training"
+    # Only the first topology of these is simulated for training.
+    assert manifest.split("additional-0", manifest.training_seeds[1]) == "test"
     assert not set(manifest.training_seeds) & set(manifest.test_seeds)
     assert manifest.split("tshirt", manifest.training_seeds[1]) == "training"
     assert manifest.split("tshirt", manifest.test_seeds[0]) == "test"

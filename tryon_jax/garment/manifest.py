@@ -15,7 +15,11 @@ class Manifest:
     space: DesignSpace
     """The space that all designs belong to."""
     training: tuple[Design, ...]
-    """The 19 designs of the training set."""
+    """The 19 designs of the paper's training set."""
+    additional: tuple[Design, ...]
+    """Training designs beyond them, each in the first training topology alone."""
+    validation: tuple[str, ...]
+    """Labels of those among them that only choose the weights: how well a design is guessed that is not fitted."""
     unseen: tuple[Design, ...]
     """6 designs for tests only."""
     training_seeds: tuple[int, ...]
@@ -28,7 +32,14 @@ class Manifest:
     @property
     def designs(self) -> tuple[Design, ...]:
         """All designs, those for training first."""
-        return self.training + self.unseen
+        return self.training + self.additional + self.unseen
+
+    def training_garments(self, additional: bool = True) -> list[str]:
+        """Names, <label>-<topology seed>, of all garments that may be trained on."""
+        names = [f"{design.label}-{seed}" for design in self.training for seed in self.training_seeds]
+        if additional:
+            names += [f"{design.label}-{self.training_seeds[0]}" for design in self.additional]
+        return names
 
     def design(self, label: str) -> Design:
         """A design by its label, from either split."""
@@ -36,7 +47,7 @@ class Manifest:
         return next(d for d in self.designs if d.label == label)
 
     def split(self, label: str, seed: int) -> str:
-        """ "training" where both the design and the topology are for training, otherwise "test".
+        """ "training" for garments that may be trained on, otherwise "test".
 
         Raises:
             ValueError: for a design or a seed that is not in the manifest.
@@ -44,8 +55,7 @@ class Manifest:
         seeds = self.training_seeds + self.test_seeds
         if seed not in seeds:
             raise ValueError(f"seed {seed} is in no split; known: {', '.join(map(str, seeds))}")
-        known = self.design(label)
-        return "training" if known in self.training and seed in self.training_seeds else "test"
+        return "training" if f"{self.design(label).label}-{seed}" in self.training_garments() else "test"
 
 
 def load_manifest() -> Manifest:
@@ -56,6 +66,8 @@ def load_manifest() -> Manifest:
     return Manifest(
         space,
         tuple(space.design(label, **values) for label, values in data["training"].items()),
+        tuple(space.design(label, **values) for label, values in data["additional"].items()),
+        tuple(data["validation"]),
         tuple(space.design(label, **values) for label, values in data["unseen"].items()),
         tuple(data["topologies"]["training"]),
         tuple(data["topologies"]["test"]),

@@ -10,7 +10,7 @@ import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -56,6 +56,8 @@ class StageOptions:
     """Garments in a batch."""
     shapes: int = 8
     """Body shapes of each garment in a batch."""
+    designs: Literal["all", "paper"] = "all"
+    """paper: the 19 training designs alone; all: the additional ones as well, where the dataset has them."""
 
 
 def model_path(run: Path) -> Path:
@@ -63,10 +65,10 @@ def model_path(run: Path) -> Path:
     return run / "model.safetensors"
 
 
-def training_names(root: Path, manifest: Manifest) -> list[str]:
+def training_names(root: Path, manifest: Manifest, designs: str = "all") -> list[str]:
     """Garments of a dataset that may be trained on and whose drapes on the mean body are there."""
     fabrics = read_config(root).fabrics
-    names = [f"{d.label}-{seed}" for d in manifest.training for seed in manifest.training_seeds]
+    names = manifest.training_garments(additional=designs == "all")
     return [n for n in names if all((root / "mean" / f"{n}_{fabric}.npz").exists() for fabric in fabrics)]
 
 
@@ -110,7 +112,7 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
     """Train R_smooth of a run whose R_mean is trained."""
     model = load_model(model_path(run))
     manifest = load_manifest()
-    names = training_names(root, manifest)
+    names = training_names(root, manifest, options.designs)
     sets = smooth_sets(load_samples(model, root, names), manifest)
     stage, result = _fit(model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names))
     model = replace(model, smooth=stage)
@@ -122,7 +124,7 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
     """Train one fabric's R_fine of a run whose R_smooth is trained."""
     model = load_model(model_path(run))
     manifest = load_manifest()
-    names = training_names(root, manifest)
+    names = training_names(root, manifest, options.designs)
     samples = load_samples(model, root, names)
     predictor = Predictor(model.config, "smooth")
     smooth_vertices = [

@@ -107,8 +107,13 @@ def stage_loss(config: TryOnConfig, kind: str, stage: Stage, batch: StageBatch) 
 
 
 def split_validation(samples: SimulatedGarment, manifest: Manifest, every: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Training shapes of a garment, less every eighth, which choose the weights (never the test shapes)."""
+    """Training shapes of a garment, less every eighth, which choose the weights (never the test shapes).
+
+    All shapes of the manifest's validation designs do.
+    """
     allowed = training_shapes(samples, manifest)
+    if samples.label in manifest.validation:
+        return np.zeros_like(allowed), allowed
     validation = np.zeros_like(allowed)
     validation[np.flatnonzero(allowed)[every - 1 :: every]] = True
     return allowed & ~validation, validation
@@ -206,8 +211,11 @@ class Predictor:
 
 
 def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet], most: int = 8) -> float:
-    """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres."""
-    errors = []
+    """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres.
+
+    Garments with training samples and designs that have none count half each: what is asked for is as often new.
+    """
+    errors: dict[bool, list[float]] = {}
     for s in sets:
         chosen = np.flatnonzero(s.validation)
         chosen = chosen[:: max(1, len(chosen) // most)][:most]
@@ -216,5 +224,6 @@ def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet
         inputs = None if s.inputs is None else s.inputs[chosen]
         predicted = predictor(stage, s.garment, s.betas[chosen], inputs)
         mask = np.asarray(s.garment.graph.mask)
-        errors.append(1e3 * np.linalg.norm((predicted - s.targets[chosen])[:, mask], axis=-1).mean())
-    return float(np.mean(errors))
+        error = 1e3 * np.linalg.norm((predicted - s.targets[chosen])[:, mask], axis=-1).mean()
+        errors.setdefault(bool(s.train.any()), []).append(float(error))
+    return float(np.mean([np.mean(group) for group in errors.values()]))
