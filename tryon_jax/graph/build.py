@@ -86,7 +86,8 @@ def build_graph(
         num_levels: Resolutions, the finest included.
         pooling: How coarse nodes gather features, see `down_matrix`.
         bucket: Number of nodes to pad to; chosen by `bucket_size` when None.
-        dtype: Of all floating-point arrays.
+        dtype: Of all floating-point arrays. The vertices are rounded to it before anything is built from them, so
+            that equal graphs come from equal stored vertices.
 
     Raises:
         ValueError: there is no vertex, a face index is out of range, or `bucket` is too small.
@@ -98,7 +99,9 @@ def build_graph(
         raise ValueError(
             f"faces refer to vertex {faces.max()} (or {faces.min()}), but there are {num_vertices} vertices"
         )
-    points = np.asarray(vertices, np.float64)
+    # The hierarchy is that of the vertices as the graph keeps them: mirrored patterns are full of equal collapse costs,
+    # and the last bits of finer positions would choose between them.
+    points = np.asarray(vertices, dtype).astype(np.float64)
     laplacians, downs, ups = [], [], []
     level_points, level_faces = points, np.asarray(faces, np.int64)
     for level in range(num_levels):
