@@ -1,0 +1,82 @@
+"""A garment ready to drape: its graph, its tie to the design and, for a user's mesh, to the user's own vertices."""
+
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from tryon_jax.graph.build import GarmentGraph
+from tryon_jax.graph.smoothing import HeatSmoother
+from tryon_jax.types import ArrayLike, pytree
+
+
+@pytree
+class OwnMesh:
+    """A user's mesh, carried by the evenly spaced mesh that the networks see; padded like everything else."""
+
+    vertices: Float[ArrayLike, "*batch M 3"]
+    """On the mean body, metres."""
+    faces: Int[ArrayLike, "*batch G 3"]
+    """Triangles, padded with (0, 0, 0)."""
+    carriers: Int[ArrayLike, "*batch M 3"]
+    """Vertices of the graph between which each vertex lies."""
+    weights: Float[ArrayLike, "*batch M 3"]
+    """Their barycentric weights."""
+    num_vertices: Int[ArrayLike, "*batch"]
+
+
+@pytree
+class Garment:
+    """A garment ready to drape, made by `prepare`; arrays are padded to the graph's size bucket.
+
+    Stack garments of one bucket with `stack_garments` to map over them.
+    """
+
+    graph: GarmentGraph
+    smoother: HeatSmoother
+    """The smoothing that separates smooth from fine, in the metric of the mean drape."""
+    design: Float[ArrayLike, "*batch P"] | None = None
+    """Design parameters, metres; None for a mesh of the user's own."""
+    template_vertices: Int[ArrayLike, "*batch N 3"] | None = None
+    """Template vertices whose weighted mean is each vertex of M̄ (W of section 2); None as `design`."""
+    template_weights: Float[ArrayLike, "*batch N 3"] | None = None
+    own: OwnMesh | None = None
+    """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
+
+    @property
+    def num_vertices(self) -> int:
+        """Number of real vertices V; host side, one garment."""
+        return int(self.graph.num_vertices if self.own is None else self.own.num_vertices)
+
+    @property
+    def faces(self) -> Int[np.ndarray, "F 3"]:
+        """Triangles without padding; host side, one garment."""
+        faces = np.asarray(self.graph.faces if self.own is None else self.own.faces)
+        return faces[faces.any(axis=1)]
+
+    @property
+    def mean_vertices(self) -> Float[np.ndarray, "V 3"]:
+        """M̄ without padding, metres; host side, one garment."""
+        return self.unpad(self.graph.vertices if self.own is None else self.own.vertices)
+
+    def unpad(self, vertices: Float[ArrayLike, "*batch N c"]) -> Float[np.ndarray, "*batch V c"]:
+        """What `drape` returned, without the padded vertices; host side, one garment."""
+        return np.asarray(vertices)[..., : self.num_vertices, :]
+
+    def with_vertices(self, vertices: Float[Array, "N 3"]) -> "Garment":
+        """The same garment with another M̄ (padded), for derivatives with respect to its vertices."""
+        return dataclasses.replace(self, graph=dataclasses.replace(self.graph, vertices=vertices))
+
+
+def stack_garments(garments: Sequence[Garment]) -> Garment:
+    """Garments of one bucket with a leading axis, for `jax.vmap` over garments.
+
+    Raises:
+        ValueError: the garments are padded to different sizes.
+    """
+    sizes = sorted({g.graph.num_nodes for g in garments})
+    if len(sizes) != 1 or len({jax.tree.structure(g) for g in garments}) != 1:
+        raise ValueError(f"garments of different buckets cannot be stacked: {sizes}; prepare them with one `bucket`")
+    return jax.tree.map(lambda *arrays: np.stack([np.asarray(a) for a in arrays]), *garments)

@@ -1,0 +1,93 @@
+"""The model: three regressors, the body they are for, and their configuration."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, PRNGKeyArray
+
+from tryon_jax.body.embedded import load_body
+from tryon_jax.garment import DesignSpace, load_design_space
+from tryon_jax.nets.config import SMALL, TryOnConfig
+from tryon_jax.nets.mlp import MeanDrape, init_mean_drape
+from tryon_jax.nets.unet import UNet, UNetConfig, init_unet
+from tryon_jax.types import ArrayLike, Body, pytree, static
+
+
+@pytree
+class Stage:
+    """One displacement regressor: a graph U-Net and the size of what it predicts."""
+
+    net: UNet
+    scale: Float[ArrayLike, ""]
+    """Displacements are scale · output, metres (the RMS of the training targets)."""
+
+
+@pytree
+class TryOnModel:
+    """Everything `drape` needs besides the garment: the three regressors, the body and their configuration."""
+
+    mean: MeanDrape
+    """R_mean."""
+    smooth: Stage
+    """R_smooth."""
+    fine: dict[str, Stage]
+    """R_fine of each fabric."""
+    body: Body
+    config: TryOnConfig = static(default=SMALL)
+
+
+def init_model(
+    key: PRNGKeyArray,
+    config: TryOnConfig = SMALL,
+    *,
+    body: Body | None = None,
+    template_center: Float[ArrayLike, "T 3"] | None = None,
+    space: DesignSpace | None = None,
+) -> TryOnModel:
+    """A model with random weights.
+
+    Args:
+        key: Random key; the same key gives the same model.
+        config: Sizes and conventions.
+        body: The body it is for; by default the embedded one that `config.body` names.
+        template_center: Mean of the template's training drapes, about which R_mean predicts; zeros when None.
+        space: Design space; by default the one that the configuration names.
+    """
+    space = space or config_space(config)
+    body = body or load_body(config.body)
+    keys = jax.random.split(key, 2 + len(config.fabrics))
+    center = np.zeros((config.template_vertices, 3), np.float32) if template_center is None else template_center
+    mean = init_mean_drape(
+        keys[0],
+        np.asarray(space.mean, np.float32),
+        np.asarray(0.5 * (space.maximum - space.minimum), np.float32),
+        center,
+        hidden=config.mean_hidden,
+    )
+
+    def stage(stage_key: PRNGKeyArray, net: UNetConfig, features: int) -> Stage:
+        return Stage(init_unet(stage_key, net, features), jnp.asarray(0.01))
+
+    fine = {
+        fabric: stage(k, config.fine, config.fine_features) for fabric, k in zip(config.fabrics, keys[2:], strict=True)
+    }
+    return TryOnModel(mean, stage(keys[1], config.smooth, config.smooth_features), fine, body, config)
+
+
+def config_space(config: TryOnConfig) -> DesignSpace:
+    """The design space that a configuration names."""
+    return load_design_space(config.layout, config.parameters)
+
+
+def model_parameters(model: TryOnModel) -> dict[str, Any]:
+    """The learned part of a model: what `save_model` stores and training updates."""
+    return {"mean": model.mean, "smooth": model.smooth, "fine": model.fine}
+
+
+def with_parameters(model: TryOnModel, parameters: Mapping[str, Any]) -> TryOnModel:
+    """The model with other learned parameters, as `model_parameters` gives them."""
+    return dataclasses.replace(model, **parameters)

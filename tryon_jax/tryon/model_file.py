@@ -1,0 +1,101 @@
+"""Models as safetensors files: weights with a record of what they were made for, checked when read."""
+
+import dataclasses
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jax
+from jaxtyping import Array
+
+from tryon_jax.body.embedded import load_body
+from tryon_jax.checks import check_choice
+from tryon_jax.nets import store
+from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
+from tryon_jax.types import Body
+
+
+def save_model(path: str | Path, model: TryOnModel, training: Mapping[str, Any] | None = None) -> None:
+    """Write parameters, configuration, body and pattern fingerprints and a training record to a safetensors file."""
+    store.save_store(
+        path, model_parameters(model), _record(model.config, model.body) | {"training": dict(training or {})}
+    )
+
+
+def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
+    """Read a model written by `save_model`.
+
+    Args:
+        path: A safetensors file.
+        body: The body it was made for, where that is not embedded.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no store, damaged, or made for another body, pattern or version; the difference is named.
+    """
+    record = store.read_record(path)
+    config = _config_from_record(record.get("config", {}))
+    body = body or load_body(config.body)
+    faults = store.compare_records(record, _record(config, body))
+    if faults:
+        raise ValueError(f"{str(path)!r} was made for something else: " + "; ".join(faults))
+    built: list[Any] = []
+
+    def expected() -> dict[str, Array]:
+        parameters = model_parameters(init_model(jax.random.key(0), config, body=body))
+        named = store.tree_names(parameters)
+        built.append((jax.tree.structure(parameters), list(named)))
+        return named
+
+    # Shapes only: nothing is initialised.
+    arrays = store.load_store(path, jax.eval_shape(expected))
+    structure, names = built[0]
+    parameters = jax.tree.unflatten(structure, [arrays[name] for name in names])
+    return TryOnModel(**parameters, body=body, config=config)
+
+
+def load_pretrained(name: str = "small") -> TryOnModel:
+    """The model that comes with the library: trained weights, body and pattern, nothing to download.
+
+    Raises:
+        ValueError: there is no model of that name.
+    """
+    folder = resources.files("tryon_jax") / "data" / "models"
+    names = sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir()) if folder.is_dir() else []
+    check_choice("pretrained model", name, names)
+    with resources.as_file(folder / f"{name}.safetensors") as path:
+        return load_model(path)
+
+
+def _record(config: TryOnConfig, body: Body) -> dict[str, Any]:
+    space = config_space(config)
+    return {
+        "config": store.config_record(config),
+        "body": {"name": body.name, "hash": store.hash_body(body)},
+        "pattern": {
+            "layout": config.layout,
+            "parameters": list(space.names),
+            "hash": store.hash_arrays(space.minimum, space.mean, space.maximum),
+        },
+        "units": {"length": "m", "angle": "rad"},
+    }
+
+
+def _config_from_record(record: Mapping[str, Any]) -> TryOnConfig:
+    """The configuration of a stored record, lists back to tuples; raises naming unknown or missing fields."""
+
+    def build(cls: type, values: Mapping[str, Any], where: str) -> Any:
+        names = [f.name for f in dataclasses.fields(cls)]
+        if set(names) != set(values):
+            raise ValueError(f"{where} has other fields than this version: {sorted(set(names) ^ set(values))}")
+        return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+
+    values = dict(record)
+    for part in ("smooth", "fine"):
+        if not isinstance(values.get(part), Mapping):
+            raise ValueError(f"the stored configuration has no field {part!r}")
+        values[part] = build(UNetConfig, values[part], f"the stored configuration of {part!r}")
+    return build(TryOnConfig, values, "the stored configuration")

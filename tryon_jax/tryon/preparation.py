@@ -1,0 +1,154 @@
+"""Host side, once per design: from a pattern or a user's mesh to a `Garment` (NumPy and SciPy)."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from tryon_jax.checks import check_finite
+from tryon_jax.garment import Design, DesignSpace, GarmentMesh, remesh
+from tryon_jax.graph.buckets import bucket_size
+from tryon_jax.graph.build import build_graph, pad_rows
+from tryon_jax.graph.pooling import closest_on_triangles
+from tryon_jax.graph.resample import resample
+from tryon_jax.graph.smoothing import make_smoother
+from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
+from tryon_jax.nets.mlp import apply_mean_drape
+from tryon_jax.tryon.garment import Garment, OwnMesh
+from tryon_jax.tryon.model import TryOnModel, config_space
+
+# A user's mesh is taken as it is when its mean triangle area is within this factor of what the networks know.
+_DENSITY_RANGE = 1.6
+# Half of the vertices of the widest simulated dress are within 0.03 m of the closest body vertex.
+_MAX_MEDIAN_DISTANCE = 0.12
+
+
+def prepare(
+    model: TryOnModel,
+    design: Design | Mapping[str, float] | Sequence[float] | str | None = None,
+    *,
+    mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray] | None = None,
+    seed: int = 0,
+    target_area: float | None = None,
+    bucket: int | None = None,
+) -> Garment:
+    """Make a garment ready to drape: pattern, topology optimisation, mean drape, graph (host side, once per design).
+
+    Args:
+        model: The model that will drape it.
+        design: Parameters in metres by name (others take their means) or in order, the name of a preset, or a
+            `Design`; None for the mean design.
+        mesh: In place of a design: a mesh of the user's own as it hangs on the mean body (a file, what
+            `load_garment` returned, or vertices and faces). It is repaired, and where its triangles are far from what
+            the networks know, an evenly spaced copy is draped and carries the user's own vertices.
+        seed: Another seed gives another topology.
+        target_area: Mean area of the triangles, square metres; by default what the networks were trained on.
+        bucket: Number of nodes to pad to, see `build_graph`.
+
+    Raises:
+        ValueError: for unknown or out-of-range parameters, a design and a mesh at once, a mesh that cannot be
+            repaired (see `load_garment`) or is not near the mean body.
+        FileNotFoundError: there is no such mesh file.
+    """
+    area = model.config.target_area if target_area is None else target_area
+    if mesh is not None:
+        if design is not None:
+            raise ValueError("prepare takes a design or a mesh, not both")
+        return _prepare_own(model, _load_own(mesh), area, bucket)
+    space = config_space(model.config)
+    return prepare_mesh(model, remesh(space, _as_design(space, design), area, seed=seed), bucket=bucket)
+
+
+def prepare_mesh(
+    model: TryOnModel,
+    mesh: GarmentMesh,
+    *,
+    vertices: Float[np.ndarray, "V 3"] | None = None,
+    bucket: int | None = None,
+) -> Garment:
+    """As `prepare`, for a garment mesh of φ that exists already (as in training sets).
+
+    Args:
+        model: The model that will drape it.
+        mesh: Topology and its tie to the template.
+        vertices: M̄ in metres; by default W · R_mean(p).
+        bucket: Number of nodes to pad to.
+    """
+    design = np.asarray(mesh.design.values, np.float32)
+    if vertices is None:
+        template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(design)))
+        vertices = np.einsum("vk,vkc->vc", mesh.template_weights, template[mesh.template_vertices])
+    points = check_finite("garment vertices", np.asarray(vertices))
+    config = model.config
+    graph = build_graph(
+        points, mesh.faces, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+    )
+    size = graph.num_nodes
+    template_vertices = np.zeros((size, 3), np.int32)
+    template_weights = np.zeros((size, 3), np.float32)
+    template_vertices[: len(points)] = mesh.template_vertices
+    template_weights[: len(points)] = mesh.template_weights
+    return Garment(
+        graph,
+        make_smoother(points, mesh.faces, config.smoothing_length, size),
+        design,
+        template_vertices,
+        template_weights,
+    )
+
+
+def _as_design(space: DesignSpace, design: Any) -> Design:
+    if design is None:
+        return space.mean_design
+    if isinstance(design, Design):
+        return space.design(design.label, **design.as_dict())
+    if isinstance(design, str):
+        return space.preset(design)
+    if isinstance(design, Mapping):
+        return space.design(**design)
+    return space.from_values(design)
+
+
+def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) -> LoadedGarment:
+    if isinstance(mesh, LoadedGarment):
+        return mesh
+    if isinstance(mesh, tuple):
+        return repair_mesh(np.asarray(mesh[0], float), np.asarray(mesh[1]))
+    return load_garment(mesh)
+
+
+def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: int | None) -> Garment:
+    starts = np.cumsum([0] + [len(piece.vertices) for piece in loaded.pieces])
+    vertices = np.concatenate([piece.vertices for piece in loaded.pieces])
+    faces = np.concatenate([piece.faces + start for piece, start in zip(loaded.pieces, starts, strict=False)])
+    distance, _ = cKDTree(np.asarray(model.body.v_template)).query(vertices)
+    if np.median(distance) > _MAX_MEDIAN_DISTANCE:
+        raise ValueError(
+            f"the mesh is not on the mean body: half of its vertices are more than {np.median(distance):.2f} m from it "
+            f"(at most {_MAX_MEDIAN_DISTANCE} m); it must stand in metres, y up, +z front, pelvis at the origin"
+        )
+    config = model.config
+    corners = vertices[faces]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    known = area / _DENSITY_RANGE <= areas.mean() <= area * _DENSITY_RANGE and areas.std() <= areas.mean()
+    points, triangles = (vertices, faces) if known else resample(vertices, faces, area)
+    graph = build_graph(
+        points, triangles, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+    )
+    smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
+    if known:
+        return Garment(graph, smoother)
+    face, weights = closest_on_triangles(vertices, points, triangles)
+    size = bucket_size(len(vertices))
+    own = OwnMesh(
+        vertices=pad_rows(vertices, size, np.float32),
+        faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
+        carriers=pad_rows(triangles[face], size, np.int32),
+        weights=pad_rows(weights, size, np.float32),
+        num_vertices=np.asarray(len(vertices), np.int32),
+    )
+    return Garment(graph, smoother, own=own)
