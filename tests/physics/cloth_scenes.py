@@ -68,7 +68,7 @@ def make_fabric(
     thickness: float = 0.004,
 ) -> Fabric:
     """A linear fabric: the same stiffness at every strain and curvature."""
-    k = np.array([warp, coupling, warp if weft is None else weft, shear])
+    k = np.array([warp, coupling, warp if weft is None else weft, shear], float)
     return Fabric(
         density=jnp.asarray(density),
         stretch_table=jnp.asarray(np.broadcast_to(k, (GRID, GRID, GRID, 4))),

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tryon_jax.checks import check_finite
+from tryon_jax.mesh.topology import components
 from tryon_jax.mesh.topology import hinges as find_hinges
 from tryon_jax.types import ArrayLike, pytree
 
@@ -68,16 +69,18 @@ def build_cloth(
         dtype: floating type of the result.
 
     Raises:
-        ValueError: NaN in `uv`, or a face with (nearly) no rest area.
+        ValueError: NaN in `uv`, a face with (nearly) no rest area or turned over within its panel.
     """
     corners = check_finite("uv", np.asarray(uv, float))[faces_uv]
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=-1)
-    areas = 0.5 * np.abs(np.linalg.det(edges))
+    determinants = np.linalg.det(edges)
+    areas = 0.5 * np.abs(determinants)
     flat = np.flatnonzero(areas < 1e-4 * (edges**2).sum((1, 2)))
     if len(flat):
         raise ValueError(
             f"face {flat[0]} has rest area {areas[flat[0]]:.3g} m²: inverted or degenerate ({len(flat)} such)"
         )
+    _check_orientation(determinants > 0, faces_uv, len(uv))
     inverse = np.linalg.inv(edges)
     gradients = np.stack([-(inverse[:, 0] + inverse[:, 1]), inverse[:, 0], inverse[:, 1]], axis=1)
 
@@ -89,15 +92,18 @@ def build_cloth(
     padded_f, padded_h = 2 * padded_v, 3 * padded_v
     neighbours, face_slots, hinge_slots = _sparsity(np.asarray(faces), hinges, padded_v)
 
-    def pad(array: np.ndarray, size: int, kind: type) -> jnp.ndarray:
+    def fill(array: np.ndarray, size: int, value: float) -> np.ndarray:
         if len(array) > size:
             raise ValueError(f"mesh with {len(array)} entries does not fit its bucket of {size}")
-        filler = np.broadcast_to(array[:1] * 0, (size - len(array), *array.shape[1:]))
-        return jnp.asarray(np.concatenate([array, filler]).astype(kind))
+        # A lone triangle has no hinge to repeat.
+        row = array[:1] * value if len(array) else np.zeros((1, *array.shape[1:]), array.dtype)
+        return np.concatenate([array, np.broadcast_to(row, (size - len(array), *array.shape[1:]))])
+
+    def pad(array: np.ndarray, size: int, kind: type) -> jnp.ndarray:
+        return jnp.asarray(fill(array, size, 0).astype(kind))
 
     def pad_index(array: np.ndarray, size: int) -> jnp.ndarray:
-        filler = np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))
-        return jnp.asarray(np.concatenate([array, filler]).astype(np.int32))
+        return jnp.asarray(fill(array, size, 1).astype(np.int32))
 
     vertex_areas = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), num_vertices)
     return Cloth(
@@ -114,6 +120,15 @@ def build_cloth(
         face_slots=pad_index(face_slots, padded_f),
         hinge_slots=pad_index(hinge_slots, padded_h),
     )
+
+
+def _check_orientation(left: np.ndarray, faces_uv: np.ndarray, num_uv: int) -> None:
+    """Panels may be drawn mirrored, each as a whole: a face that turns the other way is folded over in the plane."""
+    panel = components(faces_uv, num_uv)[1][faces_uv[:, 0]]
+    faces_of, left_of = np.bincount(panel), np.bincount(panel, left)
+    wrong = np.flatnonzero(left != (2 * left_of > faces_of)[panel])
+    if len(wrong):
+        raise ValueError(f"face {wrong[0]} is inverted at rest: it turns against its panel ({len(wrong)} such)")
 
 
 def _hinge_rest(
