@@ -142,7 +142,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def is_good(statistics: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which samples are kept: at rest, outside the body, not through themselves, not under impossible tension."""
-    return (
+    return np.asarray(
         (statistics["residual"] <= MAX_RESIDUAL)
         & (statistics["depth"] <= MAX_DEPTH)
         & (statistics["self_intersections"] <= MAX_SELF_INTERSECTIONS)
