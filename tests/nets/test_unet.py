@@ -11,6 +11,7 @@ from tests.graph_meshes import tube
 from tryon_jax.body import load_body
 from tryon_jax.graph import apply_operator, build_graph, stack_graphs
 from tryon_jax.nets import PAPER, SMALL, UNetConfig, apply_unet, count_parameters, init_unet, load_config
+from tryon_jax.nets.unet import layer_norm
 
 run = jax.jit(apply_unet)
 CONFIG = UNetConfig(widths=(6, 8, 10), order=3, activation="tanh")
@@ -78,6 +79,19 @@ def test_gradient_against_finite_differences(x64):
         return apply_unet(unflatten(jnp.asarray(flat)), graph.levels, jnp.asarray(x))[:25]
 
     check_grads(f, (flat, x), order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
+
+
+def test_layer_norm_forgets_scale_and_offset_and_a_normalised_network_is_finite_on_padding():
+    x = jnp.asarray(np.random.default_rng(2).normal(size=(7, 2, 16)), jnp.float32)
+    normal = layer_norm(x)
+    np.testing.assert_allclose(normal.mean(-1), 0.0, atol=1e-6)
+    np.testing.assert_allclose((normal**2).mean(-1), 1.0, atol=1e-4)
+    np.testing.assert_allclose(layer_norm(3.0 * x + 2.0), normal, atol=1e-4)
+    graph = build_graph(*tube(16, 20), load_body())
+    net = init_unet(jax.random.key(0), UNetConfig(widths=(8, 8), normalisation="layer"), 5)
+    assert np.isfinite(run(net, graph.levels, jnp.zeros((graph.num_nodes, 1, 5)))).all()
+    with pytest.raises(ValueError, match="normalisation"):
+        UNetConfig(normalisation="batch")
 
 
 def test_down_then_up_keeps_constants():

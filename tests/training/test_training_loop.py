@@ -120,3 +120,20 @@ def test_nan_loss_stops(tmp_path):
             options,
             {},
         )
+
+
+def test_muon_solves_for_a_stack_of_matrices(tmp_path):
+    wanted = jnp.asarray(np.random.default_rng(0).normal(size=(2, 4, 3)), jnp.float32)
+
+    def draw(rng: np.random.Generator):
+        return jnp.asarray(rng.normal(size=(2, 16, 4)), jnp.float32)
+
+    def loss(params, batch):
+        return ((jnp.einsum("kbi,kio->kbo", batch, params["weight"] - wanted) + params["bias"][None, None]) ** 2).mean()
+
+    options = LoopOptions(steps=300, learning_rate=0.1, optimiser="muon", weight_decay=0.0, evaluate_every=300)
+    start = {"weight": jnp.zeros((2, 4, 3)), "bias": jnp.ones(3)}
+    result = train_loop(
+        start, loss, draw, lambda p: float(abs(p["weight"] - wanted).max()), tmp_path, options, {"run": "matrices"}
+    )
+    assert result.curve[-1]["validation"] < 0.05

@@ -28,6 +28,16 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
 """Activations by name, as configurations and parameter stores name them."""
 
 
+def layer_norm(x: Array) -> Array:
+    """Features of each node less their mean, over their deviation; without parameters."""
+    centred = x - x.mean(axis=-1, keepdims=True)
+    return centred * jax.lax.rsqrt((centred * centred).mean(axis=-1, keepdims=True) + 1e-5)
+
+
+NORMALISATIONS: dict[str, Callable[[Array], Array]] = {"none": lambda x: x, "layer": layer_norm}
+"""What happens between a convolution and its activation. Only per-node ones: padded nodes must not be seen."""
+
+
 @dataclass(frozen=True)
 class UNetConfig:
     """Size of a graph U-Net; hashable, part of the parameter pytree's structure."""
@@ -41,9 +51,11 @@ class UNetConfig:
     order: int = 2
     """Chebyshev order K: the filter reaches K − 1 edges far."""
     activation: str = "leaky_relu"
+    normalisation: str = "none"
 
     def __post_init__(self) -> None:
         check_choice("activation", self.activation, ACTIVATIONS)
+        check_choice("normalisation", self.normalisation, NORMALISATIONS)
         check_range("Chebyshev order", self.order, 1, 64)
         check_range("number of levels", len(self.widths), 1, 16)
         check_range("encoder_convs", self.encoder_convs, 1, 64)
@@ -89,11 +101,12 @@ def apply_unet(params: UNet, levels: tuple[GraphLevel, ...], features: Float[Arr
     depth = len(config.widths)
     if len(levels) < depth:
         raise ValueError(f"the network pools to {depth} levels, but the graph has only {len(levels)}")
-    activation = ACTIVATIONS[config.activation]
+    activate = ACTIVATIONS[config.activation]
+    normalise = NORMALISATIONS[config.normalisation]
     skips = []
     for level, convs in zip(levels, params.encoder, strict=False):
         for conv in convs:
-            features = activation(cheb_conv(conv, level.laplacian, features))
+            features = activate(normalise(cheb_conv(conv, level.laplacian, features)))
         skips.append(features)
         if len(skips) < depth:
             assert level.down is not None
@@ -103,7 +116,7 @@ def apply_unet(params: UNet, levels: tuple[GraphLevel, ...], features: Float[Arr
         assert up is not None
         features = jnp.concatenate([apply_operator(up, features), skips[i]], axis=-1)
         for conv in params.decoder[i]:
-            features = activation(cheb_conv(conv, levels[i].laplacian, features))
+            features = activate(normalise(cheb_conv(conv, levels[i].laplacian, features)))
     return cheb_conv(params.head, levels[0].laplacian, features)
 
 

@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+import optax.contrib
 from tqdm import tqdm
 
 from tryon_jax.atomic import write_text
@@ -31,6 +32,8 @@ class LoopOptions:
 
     steps: int = 8000
     """Optimiser steps in all."""
+    optimiser: Literal["adamw", "muon"] = "adamw"
+    """muon: orthogonalised momentum (Jordan et al. 2024) for the convolutions' matrices, AdamW for the rest."""
     learning_rate: float = 2e-3
     """At the start of a cosine decay to 2 %, after a short warm-up."""
     warmup: int = 50
@@ -84,9 +87,7 @@ def train_loop(
     schedule = optax.warmup_cosine_decay_schedule(
         0.0, options.learning_rate, min(options.warmup, options.steps // 2), options.steps, 0.02 * options.learning_rate
     )
-    optimiser = optax.chain(
-        optax.clip_by_global_norm(options.clip), optax.adamw(schedule, weight_decay=options.weight_decay)
-    )
+    optimiser = optax.chain(optax.clip_by_global_norm(options.clip), _optimiser(schedule, options))
 
     @jax.jit
     def update(params: Params, state: Any, batch: Batch) -> tuple[Params, Any, jax.Array]:
@@ -125,6 +126,18 @@ def train_loop(
             _save(saved, params, state, best, {"curve": curve, "step": done, "seconds": total})
             write_text(folder / "curve.csv", _as_csv(curve))
     return LoopResult(best, curve, seconds + time.monotonic() - began)
+
+
+def _optimiser(schedule: optax.Schedule, options: LoopOptions) -> optax.GradientTransformation:
+    if options.optimiser == "adamw":
+        return optax.adamw(schedule, weight_decay=options.weight_decay)
+
+    def matrices(params: Params) -> Params:
+        # Convolutions are [K, inputs, outputs]: one matrix for each Chebyshev order.
+        dimensions = optax.contrib.MuonDimensionNumbers((1,), (2,))
+        return jax.tree.map(lambda leaf: dimensions if jnp.ndim(leaf) == 3 else None, params)
+
+    return optax.contrib.muon(schedule, weight_decay=options.weight_decay, muon_weight_dimension_numbers=matrices)
 
 
 def _stalled(curve: list[dict[str, float]], patience: int) -> bool:

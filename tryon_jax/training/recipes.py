@@ -114,7 +114,9 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     sets = smooth_sets(load_samples(model, root, names), manifest)
-    stage, result = _fit(model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names))
+    stage, result = fit_stage(
+        model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names)
+    )
     model = replace(model, smooth=stage)
     _save(run, model, "smooth", result, options, sets)
     return model
@@ -132,7 +134,7 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
     ]
     sets = fine_sets(samples, manifest, fabric, smooth_vertices)
     folder = run / f"fine-{fabric}"
-    stage, result = _fit(model, "fine", model.fine[fabric], sets, folder, options, dataset_checksum(root, names))
+    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, dataset_checksum(root, names))
     # Another process may have finished another fabric meanwhile.
     model = load_model(model_path(run))
     model = replace(model, fine={**model.fine, fabric: stage})
@@ -179,7 +181,7 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnMo
     return model
 
 
-def _fit(
+def fit_stage(
     model: TryOnModel,
     kind: str,
     stage: Stage,
@@ -188,6 +190,7 @@ def _fit(
     options: StageOptions,
     checksum: str,
 ) -> tuple[Stage, LoopResult]:
+    """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`."""
     scale = jnp.asarray(displacement_scale(model.config, kind, sets), jnp.float32)
     source = BatchSource(sets, options.garments, options.shapes)
     predictor = Predictor(model.config, kind)
