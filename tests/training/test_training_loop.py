@@ -1,5 +1,8 @@
 """The resumable loop on a problem whose answer is known."""
 
+import os
+import signal
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,8 +12,8 @@ from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
 TARGET = np.array([1.0, -2.0, 0.5], np.float32)
 
 
-def run(folder, steps=120, stop_at=None, seed=0, identity=None) -> LoopResult:
-    """Fit a vector to noisy observations; `stop_at` interrupts as Ctrl-C does, after so many batches."""
+def run(folder, steps=120, stop_at=None, seed=0, identity=None, signal_at=None) -> LoopResult:
+    """Fit a vector to noisy observations; `stop_at` breaks off after so many batches, `signal_at` sends a signal."""
     drawn = 0
 
     def draw(rng: np.random.Generator):
@@ -18,6 +21,8 @@ def run(folder, steps=120, stop_at=None, seed=0, identity=None) -> LoopResult:
         drawn += 1
         if stop_at is not None and drawn > stop_at:
             raise KeyboardInterrupt
+        if signal_at is not None and drawn == signal_at[0]:
+            os.kill(os.getpid(), signal_at[1])
         return jnp.asarray(TARGET + 0.1 * rng.normal(size=3).astype(np.float32))
 
     def loss(params, batch):
@@ -48,6 +53,22 @@ def test_interrupted_and_resumed_equals_unbroken(tmp_path):
     for one, other in zip(unbroken.curve, resumed.curve, strict=True):
         assert one["step"] == other["step"]
         assert one["validation"] == other["validation"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("step", [5, 20, 33])
+def test_a_polite_stop_loses_no_step(tmp_path, number, step):
+    """Ctrl-C, or `timeout`: the step at hand is finished and kept, whether or not it is one that evaluates."""
+    unbroken = run(tmp_path / "a", steps=60)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "b", steps=60, signal_at=(step, number))
+    arrays = np.load(tmp_path / "b" / "checkpoint.npz")
+    assert f'"step": {step}' in str(arrays["progress"])
+    resumed = run(tmp_path / "b", steps=60)
+    assert np.array_equal(unbroken.params["x"], resumed.params["x"])
+    for one, other in zip(unbroken.curve, resumed.curve, strict=True):
+        assert (one["step"], one["loss"], one["validation"]) == (other["step"], other["loss"], other["validation"])
+    assert signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
 
 
 def test_finished_run_is_not_run_again(tmp_path):

@@ -65,6 +65,8 @@ class PooledGarment:
 class CollisionBatch:
     """G garments of one bucket, B random shapes each."""
 
+    BY_SHAPE = ("betas",)  # axis 1 is B: what `parallel` splits over devices
+
     pooled: PooledGarment
     betas: Float[ArrayLike, "G B b"]
 

@@ -20,7 +20,9 @@ import optax.contrib
 from tqdm import tqdm
 
 from tryon_jax.atomic import write_text
-from tryon_jax.training.dataset import load_arrays, save_arrays
+from tryon_jax.training.checkpoint import load_checkpoint, save_checkpoint
+from tryon_jax.training.interrupts import stop_requests
+from tryon_jax.training.parallel import SingleDevice, visible_devices
 
 Params = Any
 Batch = Any
@@ -68,6 +70,7 @@ def train_loop(
     options: LoopOptions,
     identity: dict[str, Any],
     title: str = "training",
+    devices: SingleDevice | None = None,
 ) -> LoopResult:
     """Minimise `loss` by AdamW.
 
@@ -76,12 +79,14 @@ def train_loop(
         loss: of weights and a batch; compiled once for each shape of batch.
         draw: makes a batch from a random generator (host side).
         evaluate: validation error of weights, smaller is better.
-        folder: keeps checkpoint.npz, curve.csv and record.json; a run continues from what lies there.
+        folder: keeps checkpoint, curve.csv and record.json; a run continues from what lies there.
         options: see `LoopOptions`.
         identity: what the run depends on (configuration, dataset checksum); a folder of another run is refused.
         title: of the progress bar.
+        devices: what it runs on; all visible devices by default (see `parallel`).
 
     Raises:
+        KeyboardInterrupt: after Ctrl-C or SIGTERM, when the step at hand is done and a checkpoint is written.
         ValueError: the folder belongs to another run, or the loss became NaN.
     """
     schedule = optax.warmup_cosine_decay_schedule(
@@ -89,43 +94,64 @@ def train_loop(
     )
     optimiser = optax.chain(optax.clip_by_global_norm(options.clip), _optimiser(schedule, options))
 
+    devices = devices or visible_devices()
+    value_and_grad = devices.value_and_grad(loss)
+
     @jax.jit
     def update(params: Params, state: Any, batch: Batch) -> tuple[Params, Any, jax.Array]:
-        value, gradient = jax.value_and_grad(loss)(params, batch)
+        value, gradient = value_and_grad(params, batch)
         updates, state = optimiser.update(gradient, state, params)
         return optax.apply_updates(params, updates), state, value
 
-    state = optimiser.init(params)
-    best, curve, done, seconds = params, [], 0, 0.0
-    _check_identity(folder, identity)
-    saved = folder / "checkpoint.npz"
-    if saved.exists():
-        params, state, best, progress = _load(saved, params, state)
-        curve, done, seconds = progress["curve"], progress["step"], progress["seconds"]
-    losses: list[jax.Array] = []
+    tree = (params, optimiser.init(params), params)
+    progress: dict[str, Any] = {"curve": [], "step": 0, "seconds": 0.0}
+    if devices.is_main:
+        _check_identity(folder, identity)
+        tree, progress = _load(folder, tree, progress)
+    params, state, best = devices.replicate(devices.agree_arrays(tree))
+    progress = devices.agree(progress)
+    curve, done, seconds = progress["curve"], progress["step"], progress["seconds"]
+    losses: list[Any] = progress.get("losses", [])
     began = time.monotonic()
-    with tqdm(total=options.steps, initial=done, desc=title, unit="step", mininterval=2) as bar:
+
+    def save() -> None:
+        if devices.is_main:
+            total = seconds + time.monotonic() - began
+            kept = {"curve": curve, "step": done, "seconds": total, "losses": _floats(losses)}
+            _save(folder, devices.local((params, state, best)), kept)
+
+    hidden = not devices.is_main
+    with (
+        stop_requests() as stopped,
+        tqdm(total=options.steps, initial=done, desc=title, unit="step", mininterval=2, disable=hidden) as bar,
+    ):
         while done < options.steps and not _stalled(curve, options.patience):
-            batch = draw(np.random.default_rng((options.seed, done)))
+            batch = devices.split(draw(np.random.default_rng((options.seed, done))))
             params, state, value = update(params, state, batch)
             losses.append(value)
             done += 1
             bar.update()
             if done % options.evaluate_every and done != options.steps:
+                if stopped():
+                    save()
+                    raise KeyboardInterrupt
                 continue
-            mean_loss = float(np.mean(jax.device_get(losses)))
+            mean_loss = float(np.mean(np.array(_floats(losses), np.float32)))
             if not np.isfinite(mean_loss):
                 raise ValueError(f"the training loss became {mean_loss} at step {done}; use a smaller learning rate")
             losses = []
-            error = evaluate(params)
+            error = devices.agree(evaluate(devices.local(params)))
             if not curve or error < min(row["validation"] for row in curve):
                 best = params
             total = seconds + time.monotonic() - began
             curve.append({"step": done, "loss": mean_loss, "validation": error, "seconds": round(total, 1)})
             bar.set_postfix(loss=f"{mean_loss:.4f}", validation=f"{error:.4f}")
-            _save(saved, params, state, best, {"curve": curve, "step": done, "seconds": total})
-            write_text(folder / "curve.csv", _as_csv(curve))
-    return LoopResult(best, curve, seconds + time.monotonic() - began)
+            save()
+            if devices.is_main:
+                write_text(folder / "curve.csv", _as_csv(curve))
+            if stopped() and done < options.steps:
+                raise KeyboardInterrupt
+    return LoopResult(devices.local(best), curve, seconds + time.monotonic() - began)
 
 
 def _optimiser(schedule: optax.Schedule, options: LoopOptions) -> optax.GradientTransformation:
@@ -162,22 +188,27 @@ def _check_identity(folder: Path, identity: dict[str, Any]) -> None:
         )
 
 
-def _save(path: Path, params: Params, state: Any, best: Params, progress: dict[str, Any]) -> None:
-    leaves = jax.tree.leaves((params, state, best))
-    arrays = {f"leaf{i:05d}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-    save_arrays(path, arrays | {"progress": json.dumps(progress)})
+def _floats(losses: list[Any]) -> list[float]:
+    """Losses as numbers: those of steps before a stop are numbers already."""
+    return [float(value) for value in jax.device_get(losses)]
 
 
-def _load(path: Path, params: Params, state: Any) -> tuple[Params, Any, Params, dict[str, Any]]:
-    arrays = load_arrays(path)
-    old, structure = jax.tree.flatten((params, state, params))
-    names = [f"leaf{i:05d}" for i in range(len(old))]
-    if set(arrays) != {*names, "progress"} or any(
-        arrays[n].shape != np.shape(o) for n, o in zip(names, old, strict=True)
-    ):
-        raise ValueError(f"checkpoint {str(path)!r} is of another network; delete it to start anew")
-    leaves = [jnp.asarray(arrays[name]) for name in names]
-    return *jax.tree.unflatten(structure, leaves), json.loads(str(arrays["progress"]))
+def _save(folder: Path, tree: tuple[Params, Any, Params], progress: dict[str, Any]) -> None:
+    save_checkpoint(folder, [np.asarray(leaf) for leaf in jax.tree.leaves(tree)], progress)
+
+
+def _load(
+    folder: Path, tree: tuple[Params, Any, Params], progress: dict[str, Any]
+) -> tuple[tuple[Params, Any, Params], dict[str, Any]]:
+    """Weights, optimiser state, best weights and progress of a run, or what is given where it has not begun."""
+    saved = load_checkpoint(folder)
+    if saved is None:
+        return tree, progress
+    leaves, progress = saved
+    old, structure = jax.tree.flatten(tree)
+    if len(leaves) != len(old) or any(a.shape != np.shape(b) for a, b in zip(leaves, old, strict=True)):
+        raise ValueError(f"the checkpoint in {str(folder)!r} is of another network; delete it to start anew")
+    return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in leaves]), progress
 
 
 def _as_csv(curve: list[dict[str, float]]) -> str:

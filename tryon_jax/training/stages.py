@@ -37,6 +37,8 @@ CHUNK = 16
 class StageBatch:
     """G garments of one bucket, B shapes each."""
 
+    BY_SHAPE = ("betas", "inputs", "targets")  # axis 1 is B: what `parallel` splits over devices
+
     garments: Garment
     """Stacked along a leading axis G."""
     betas: Float[ArrayLike, "G B b"]
