@@ -17,7 +17,7 @@ from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_des
 from tryon_jax.fit import Fit, measure_fit, pattern_of
 from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.build import closest_body_vertices
-from tryon_jax.mesh.repair import LoadedGarment, load_garment
+from tryon_jax.mesh.repair import load_garment
 from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.posing import pose_dressed, soft_skinning
 from tryon_jax.pushout import PushedOut, push_out
@@ -162,20 +162,10 @@ class Studio:
                 loaded = load_garment(path)
             with self.clock.stage("graph"):
                 garment = prepare(self.model, mesh=loaded)
-            uv, faces_uv = pattern_of(garment.mean_vertices, garment.faces, *_texture(loaded))
+            uv, faces_uv = pattern_of(garment.mean_vertices, garment.faces, *loaded.texture())
             remarks = tuple(f"note     {repair}" for repair in loaded.repairs)
             self._prepared[path] = Prepared(garment, garment.faces, uv, faces_uv, path.name, remarks)
         return self._prepared[path]
-
-
-def _texture(loaded: LoadedGarment) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Texture coordinates of all pieces together, or nothing where a piece has none."""
-    uv = [piece.uv for piece in loaded.pieces if piece.uv is not None]
-    faces_uv = [piece.faces_uv for piece in loaded.pieces if piece.faces_uv is not None]
-    if not len(uv) == len(faces_uv) == len(loaded.pieces):
-        return None, None
-    starts = np.cumsum([0, *(len(one) for one in uv[:-1])])
-    return np.concatenate(uv), np.concatenate([f + start for f, start in zip(faces_uv, starts, strict=True)])
 
 
 def _words(pushed: PushedOut) -> str:

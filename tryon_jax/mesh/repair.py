@@ -71,6 +71,15 @@ class LoadedGarment:
         """Triangles of the largest piece."""
         return self.pieces[0].faces
 
+    def texture(self) -> tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]] | tuple[None, None]:
+        """Texture coordinates of all pieces together and their use by face corners; nothing where a piece has none."""
+        uv = [piece.uv for piece in self.pieces if piece.uv is not None]
+        faces_uv = [piece.faces_uv for piece in self.pieces if piece.faces_uv is not None]
+        if not len(uv) == len(faces_uv) == len(self.pieces):
+            return None, None
+        starts = np.cumsum([0, *(len(one) for one in uv[:-1])])
+        return np.concatenate(uv), np.concatenate([f + start for f, start in zip(faces_uv, starts, strict=True)])
+
 
 def load_garment(path: str | Path, unit: str = "auto", up: str = "y") -> LoadedGarment:
     """Read a garment from an OBJ, GLB, glTF or PLY file and make it a clean mesh, or say why that is not possible.
