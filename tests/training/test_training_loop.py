@@ -40,7 +40,7 @@ def test_finds_the_minimum_and_writes_its_curve(tmp_path):
     result = run(tmp_path)
     assert np.allclose(result.params["x"], TARGET, atol=0.05)
     lines = (tmp_path / "curve.csv").read_text().splitlines()
-    assert lines[0] == "step,loss,validation,seconds"
+    assert lines[0] == "step,loss,validation,seconds,step_ms,draw_ms,cores"
     assert [int(line.split(",")[0]) for line in lines[1:]] == list(range(20, 121, 20))
 
 

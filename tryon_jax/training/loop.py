@@ -3,11 +3,12 @@
 Batches are drawn by step number, so a run that was stopped and resumed sees what an unbroken one would have seen.
 """
 
+import contextlib
 import csv
 import io
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -56,7 +57,8 @@ class LoopResult:
     params: Params
     """Weights with the smallest validation error."""
     curve: list[dict[str, float]]
-    """One row for each evaluation."""
+    """One row for each evaluation: step, loss, validation error, seconds, and since the row before milliseconds per
+    step, milliseconds of it spent drawing the batch on the host (the device computes meanwhile), cores in use."""
     seconds: float
     """Time spent in all runs together."""
 
@@ -113,6 +115,7 @@ def train_loop(
     curve, done, seconds = progress["curve"], progress["step"], progress["seconds"]
     losses: list[Any] = progress.get("losses", [])
     began = time.monotonic()
+    pace = _Pace()
 
     def save() -> None:
         if devices.is_main:
@@ -126,7 +129,8 @@ def train_loop(
         tqdm(total=options.steps, initial=done, desc=title, unit="step", mininterval=2, disable=hidden) as bar,
     ):
         while done < options.steps and not _stalled(curve, options.patience):
-            batch = devices.split(draw(np.random.default_rng((options.seed, done))))
+            with pace.drawing():
+                batch = devices.split(draw(np.random.default_rng((options.seed, done))))
             params, state, value = update(params, state, batch)
             losses.append(value)
             done += 1
@@ -139,19 +143,50 @@ def train_loop(
             mean_loss = float(np.mean(np.array(_floats(losses), np.float32)))
             if not np.isfinite(mean_loss):
                 raise ValueError(f"the training loss became {mean_loss} at step {done}; use a smaller learning rate")
+            measured = pace.since_last(len(losses))
             losses = []
             error = devices.agree(evaluate(devices.local(params)))
             if not curve or error < min(row["validation"] for row in curve):
                 best = params
             total = seconds + time.monotonic() - began
-            curve.append({"step": done, "loss": mean_loss, "validation": error, "seconds": round(total, 1)})
-            bar.set_postfix(loss=f"{mean_loss:.4f}", validation=f"{error:.4f}")
+            row = {"step": done, "loss": mean_loss, "validation": error, "seconds": round(total, 1)}
+            curve.append(row | measured)
+            bar.set_postfix(loss=f"{mean_loss:.4f}", validation=f"{error:.4f}", **measured)
+            pace.restart()
             save()
             if devices.is_main:
                 write_text(folder / "curve.csv", _as_csv(curve))
             if stopped() and done < options.steps:
                 raise KeyboardInterrupt
     return LoopResult(devices.local(best), curve, seconds + time.monotonic() - began)
+
+
+class _Pace:
+    """Where the time of the steps since the last evaluation went."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin to count."""
+        self._wall, self._cpu, self._drawing = time.monotonic(), time.process_time(), 0.0
+
+    @contextlib.contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Counts what happens inside as drawing a batch."""
+        start = time.monotonic()
+        yield
+        self._drawing += time.monotonic() - start
+
+    def since_last(self, steps: int) -> dict[str, float]:
+        """Columns of the curve."""
+        wall, cpu = time.monotonic() - self._wall, time.process_time() - self._cpu
+        count = max(steps, 1)
+        return {
+            "step_ms": round(1e3 * wall / count, 2),
+            "draw_ms": round(1e3 * self._drawing / count, 2),
+            "cores": round(cpu / max(wall, 1e-9), 2),
+        }
 
 
 def _optimiser(schedule: optax.Schedule, options: LoopOptions) -> optax.GradientTransformation:

@@ -118,7 +118,7 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
         model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names)
     )
     model = replace(model, smooth=stage)
-    _save(run, model, "smooth", result, options, sets)
+    _save(run, model, "smooth", result, options, sets, checksum)
     return model
 
 
@@ -134,11 +134,12 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
     ]
     sets = fine_sets(samples, manifest, fabric, smooth_vertices)
     folder = run / f"fine-{fabric}"
-    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, dataset_checksum(root, names))
+    checksum = dataset_checksum(root, names)
+    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum)
     # Another process may have finished another fabric meanwhile.
     model = load_model(model_path(run))
     model = replace(model, fine={**model.fine, fabric: stage})
-    _save(run, model, f"fine-{fabric}", result, options, sets)
+    _save(run, model, f"fine-{fabric}", result, options, sets, checksum)
     return model
 
 
@@ -213,7 +214,13 @@ def fit_stage(
 
 
 def _save(
-    run: Path, model: TryOnModel, name: str, result: LoopResult, options: StageOptions, sets: Sequence[StageSet]
+    run: Path,
+    model: TryOnModel,
+    name: str,
+    result: LoopResult,
+    options: StageOptions,
+    sets: Sequence[StageSet],
+    checksum: str,
 ) -> None:
     record = store.read_record(model_path(run)).get("training", {})
     record[name] = {
@@ -223,6 +230,9 @@ def _save(
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
         "options": asdict(options),
+        "dataset": checksum,
+        "platform": _platform(),
+        "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
     save_model(model_path(run), model, record)
 
