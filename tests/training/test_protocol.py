@@ -71,7 +71,7 @@ def test_any_beginning_of_the_order_covers_all_directions() -> None:
     for count in range(2, 26):
         rays = np.sort(order[:count])
         gaps = np.diff(np.append(rays, rays[0] + 25))
-        assert gaps.max() * count / 25 < 3.1
+        assert gaps.max() * count / 25 < 2.3
 
 
 @pytest.mark.parametrize("num_betas", [0, 3, 10])

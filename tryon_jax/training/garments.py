@@ -14,6 +14,7 @@ from tryon_jax.garment.manifest import Manifest
 from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
 from tryon_jax.nets.mlp import apply_mean_drape
+from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path
 from tryon_jax.tryon import Garment, TryOnModel
 
@@ -104,6 +105,13 @@ def load_simulated(
     usable = resting & np.any([good[f] for f in fabrics], axis=0)
     target = _smooth_all(garment.smoother, total)
     return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable)
+
+
+def load_cloth(root: Path, samples: SimulatedGarment) -> Cloth:
+    """The garment's rest state, padded to its graph's bucket."""
+    mesh = load_arrays(mesh_path(root, samples.name))
+    size = samples.garment.graph.num_nodes
+    return build_cloth(mesh["faces"], mesh["uv"], mesh["faces_uv"], len(mesh["start"]), bucket=size)
 
 
 def _smooth_all(smoother: HeatSmoother, samples: np.ndarray) -> np.ndarray:

@@ -151,7 +151,7 @@ def train_loop(
             total = seconds + time.monotonic() - began
             row = {"step": done, "loss": mean_loss, "validation": error, "seconds": round(total, 1)}
             curve.append(row | measured)
-            bar.set_postfix(loss=f"{mean_loss:.4f}", validation=f"{error:.4f}", **measured)
+            bar.set_postfix({"loss": f"{mean_loss:.4f}", "validation": f"{error:.4f}", **measured})
             pace.restart()
             save()
             if devices.is_main:

@@ -51,5 +51,5 @@ def make_protocol(num_betas: int = 2) -> Protocol:
     angles = 2 * np.pi * np.arange(RAYS) / RAYS
     rays = tuple(radius[:, None] * np.array([EXTENT[0] * np.cos(a), EXTENT[1] * np.sin(a)])[None] for a in angles)
     test = tuple((k + np.arange(1, RAY_LENGTH + 1)) % 2 == 0 for k in range(RAYS))
-    # 25 and 8 have no common divisor: strides of 8 visit every ray, always far from the last few.
-    return Protocol(rays, test, tuple(8 * k % RAYS for k in range(RAYS)))
+    # From coarse to fine: every fourth ray, then those halfway between, then the rest.
+    return Protocol(rays, test, (0, 12, 4, 16, 8, 20, 2, 14, 6, 18, 10, 22, 24, *range(1, 24, 2)))

@@ -22,6 +22,7 @@ from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNet, count_parameters
+from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.collisions import (
     CollisionBatch,
     CollisionOptions,
@@ -31,11 +32,12 @@ from tryon_jax.training.collisions import (
     with_fine,
 )
 from tryon_jax.training.dataset import read_config
-from tryon_jax.training.garments import SimulatedGarment, load_simulated
+from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
 from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
 from tryon_jax.training.stages import (
     BatchSource,
+    FineInput,
     Predictor,
     StageSet,
     displacement_scale,
@@ -58,6 +60,11 @@ class StageOptions:
     """Body shapes of each garment in a batch."""
     designs: Literal["all", "paper"] = "all"
     """paper: the 19 training designs alone; all: the additional ones as well, where the dataset has them."""
+    fine_input: FineInput = "predicted"
+    """What R_fine is trained on. predicted: M_smooth as R_smooth gives it, so that it also mends that network's errors;
+    smoothed: the smoothed simulation (the paper)."""
+    energy: float = 0.0
+    """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
 
 
 def model_path(run: Path) -> Path:
@@ -114,9 +121,8 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     sets = smooth_sets(load_samples(model, root, names), manifest)
-    stage, result = fit_stage(
-        model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names)
-    )
+    checksum = dataset_checksum(root, names)
+    stage, result = fit_stage(model, "smooth", model.smooth, sets, run / "smooth", options, checksum)
     model = replace(model, smooth=stage)
     _save(run, model, "smooth", result, options, sets, checksum)
     return model
@@ -128,14 +134,17 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     samples = load_samples(model, root, names)
-    predictor = Predictor(model.config, "smooth")
-    smooth_vertices = [
-        predictor(model.smooth, s.garment, s.betas) for s in tqdm(samples, desc="M_smooth", mininterval=2)
-    ]
-    sets = fine_sets(samples, manifest, fabric, smooth_vertices)
+    smooth_vertices = None
+    if options.fine_input == "predicted":
+        predictor = Predictor(model.config, "smooth")
+        smooth_vertices = [
+            predictor(model.smooth, s.garment, s.betas) for s in tqdm(samples, desc="M_smooth", mininterval=2)
+        ]
+    cloths = [load_cloth(root, s) for s in samples] if options.energy else None
+    sets = fine_sets(samples, manifest, fabric, smooth_vertices, cloths)
     folder = run / f"fine-{fabric}"
     checksum = dataset_checksum(root, names)
-    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum)
+    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
     # Another process may have finished another fabric meanwhile.
     model = load_model(model_path(run))
     model = replace(model, fine={**model.fine, fabric: stage})
@@ -190,6 +199,7 @@ def fit_stage(
     folder: Path,
     options: StageOptions,
     checksum: str,
+    fabric: Fabric | None = None,
 ) -> tuple[Stage, LoopResult]:
     """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`."""
     scale = jnp.asarray(displacement_scale(model.config, kind, sets), jnp.float32)
@@ -197,7 +207,7 @@ def fit_stage(
     predictor = Predictor(model.config, kind)
 
     def loss(net: UNet, batch: Any) -> jax.Array:
-        return stage_loss(model.config, kind, Stage(net, scale), batch)
+        return stage_loss(model.config, kind, Stage(net, scale), batch, options.energy, fabric)
 
     def evaluate(net: UNet) -> float:
         return validation_error(predictor, Stage(net, scale), sets)

@@ -2,7 +2,7 @@
 
 Both minimise the squared displacement error over the vertices of a batch that mixes designs, topologies and shapes;
 one set of weights serves them all. R_fine learns what is left after the *predicted* M_smooth, so that it also mends
-R_smooth's errors; `target="smoothed"` is the paper's form, the simulation minus its smoothed self.
+R_smooth's errors; `fine_input="smoothed"` is the paper's form, the simulation minus its smoothed self.
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,11 @@ from jaxtyping import Array, Bool, Float
 
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.physics.bending import bending_energy
+from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.solver import GRAVITY
+from tryon_jax.physics.stretch import stretch_energy
 from tryon_jax.training.garments import SimulatedGarment, training_shapes
 from tryon_jax.tryon import (
     Garment,
@@ -28,7 +33,7 @@ from tryon_jax.tryon import (
 )
 from tryon_jax.types import ArrayLike, pytree
 
-FineTarget = Literal["predicted", "smoothed"]
+FineInput = Literal["predicted", "smoothed"]
 CHUNK = 16
 """Shapes of one garment that are predicted at once."""
 
@@ -46,6 +51,8 @@ class StageBatch:
     """M_smooth as R_fine sees it; zeros for R_smooth, which does not look."""
     targets: Float[ArrayLike, "G B N 3"]
     """Vertices to be predicted, metres."""
+    cloth: Cloth | None = None
+    """Rest states along the leading axis, where the loss has energies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +66,8 @@ class StageSet:
     targets: Float[np.ndarray, "S N 3"]
     train: Bool[np.ndarray, " S"]
     validation: Bool[np.ndarray, " S"]
+    cloth: Cloth | None = None
+    """Rest state padded to the garment's bucket, where the loss has energies."""
 
 
 def predict_smooth(
@@ -97,15 +106,42 @@ def predict(
     return predict_fine(config, stage, garment, betas, inputs)
 
 
-def stage_loss(config: TryOnConfig, kind: str, stage: Stage, batch: StageBatch) -> Float[Array, ""]:
-    """Mean squared vertex error over the stage's scale (dimensionless), all garments and shapes alike."""
+def stage_loss(
+    config: TryOnConfig,
+    kind: str,
+    stage: Stage,
+    batch: StageBatch,
+    energy: float = 0.0,
+    fabric: Fabric | None = None,
+) -> Float[Array, ""]:
+    """Mean squared vertex error over the stage's scale (dimensionless), all garments and shapes alike.
+
+    Args:
+        energy: weight of the cloth's energy of the prediction, see `relative_energy`.
+        fabric: the stage's fabric, where there is such a weight.
+    """
     predicted = jax.vmap(lambda g, b, i: predict(config, kind, stage, g, b, i))(
         batch.garments, batch.betas, batch.inputs
     )
     mask = jnp.asarray(batch.garments.graph.mask)[:, None, :, None]
     error = jnp.where(mask, predicted - batch.targets, 0.0) / jax.lax.stop_gradient(stage.scale)
     weight = mask.sum() * batch.betas.shape[1] * 3
-    return (error * error).sum() / weight
+    loss = (error * error).sum() / weight
+    if energy and fabric is not None and batch.cloth is not None:
+        many = jax.vmap(jax.vmap(relative_energy, (0, None, None)), (0, 0, None))
+        loss = loss + energy * many(predicted, batch.cloth, fabric).mean()
+    return loss
+
+
+def relative_energy(vertices: Float[Array, "N 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, ""]:
+    """Stretch, bending and gravity of a drape over its weight (metres: how high the energy would lift it), times 1/mm.
+
+    The simulator's equilibrium is a minimum of it under contact, where the mean over many equilibria is none.
+    """
+    mass = jnp.asarray(cloth.vertex_areas) * fabric.density
+    stored = stretch_energy(vertices, cloth, fabric) + bending_energy(vertices, cloth, fabric)
+    lifted = (mass * vertices[:, 1]).sum() * GRAVITY
+    return 1e3 * (stored + lifted) / (mass.sum() * GRAVITY)
 
 
 def split_validation(samples: SimulatedGarment, manifest: Manifest, every: int = 8) -> tuple[np.ndarray, np.ndarray]:
@@ -134,14 +170,26 @@ def fine_sets(
     samples: Sequence[SimulatedGarment],
     manifest: Manifest,
     fabric: str,
-    smooth_vertices: Sequence[Float[np.ndarray, "S N 3"]],
+    smooth_vertices: Sequence[Float[np.ndarray, "S N 3"]] | None = None,
+    cloths: Sequence[Cloth] | None = None,
 ) -> list[StageSet]:
-    """R_fine's samples for one fabric: the simulations themselves, given M_smooth of each sample."""
+    """R_fine's samples for one fabric: the simulations themselves, given M_smooth of each sample.
+
+    Args:
+        samples: garments with their drapes.
+        manifest: what may be trained on.
+        fabric: which fabric's simulations.
+        smooth_vertices: the predicted M_smooth; None for the smoothed simulation itself, the paper's form.
+        cloths: rest states, where the loss has energies.
+    """
     sets = []
-    for s, inputs in zip(samples, smooth_vertices, strict=True):
+    for k, s in enumerate(samples):
         train, validation = split_validation(s, manifest)
         good = s.good[fabric]
-        sets.append(StageSet(s.name, s.garment, s.betas, inputs, s.drapes[fabric], train & good, validation & good))
+        inputs = s.target if smooth_vertices is None else smooth_vertices[k]
+        cloth = None if cloths is None else cloths[k]
+        drapes = s.drapes[fabric]
+        sets.append(StageSet(s.name, s.garment, s.betas, inputs, drapes, train & good, validation & good, cloth))
     return sets
 
 
@@ -191,7 +239,15 @@ class BatchSource:
                 ]
             ),
             np.stack([s.targets[p] for s, p in zip(chosen, picks, strict=True)]),
+            self._cloths(chosen),
         )
+
+    @staticmethod
+    def _cloths(chosen: Sequence[StageSet]) -> Cloth | None:
+        cloths = [s.cloth for s in chosen]
+        if any(cloth is None for cloth in cloths):
+            return None
+        return jax.tree.map(lambda *arrays: np.stack([np.asarray(a) for a in arrays]), *cloths)
 
 
 class Predictor:

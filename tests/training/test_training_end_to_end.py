@@ -1,0 +1,123 @@
+"""From simulation to a trained model on a tiny dataset: the same code, files and guards as the real runs."""
+
+import json
+from dataclasses import replace
+
+import jaxtyping
+import numpy as np
+import pytest
+
+from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.nets.config import load_config
+from tryon_jax.nets.store import read_record
+from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.training.dataset import DatasetConfig, open_dataset
+from tryon_jax.training.garments import load_simulated, training_shapes
+from tryon_jax.training.generate import Bench, plan, run_task
+from tryon_jax.training.loop import LoopOptions
+from tryon_jax.training.mean import MeanTraining
+from tryon_jax.training.recipes import StageOptions, fit_fine, fit_mean, fit_smooth, load_samples, model_path
+from tryon_jax.training.stages import Predictor, smooth_sets, validation_error
+
+FABRIC = "gray-interlock"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """One T-shirt at coarse triangles, one fabric, two rays of eight shapes, two template drapes."""
+    root = tmp_path_factory.mktemp("dataset")
+    config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
+    open_dataset(root, config)
+    for wave in plan(config, ["tshirt-0"], rays=2, templates=2):
+        for task in wave:
+            assert run_task(str(root), task)
+    return root
+
+
+@pytest.fixture(scope="module")
+def unchecked():
+    """No shape checks meanwhile: optimisers put scalars (norms of leaves) where a network's weights belong."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.fixture(scope="module")
+def run(dataset, tmp_path_factory, unchecked):
+    """R_mean, R_smooth and R_fine, a few steps each."""
+    folder = tmp_path_factory.mktemp("run")
+    config = replace(
+        load_config("small"),
+        smooth=UNetConfig(widths=(16, 24, 32)),
+        fine=UNetConfig(widths=(16, 24)),
+        fabrics=(FABRIC,),
+        target_area=1.2e-3,
+        num_levels=3,
+    )
+    fit_mean(dataset, folder, config, MeanTraining(steps=300))
+    options = StageOptions(LoopOptions(steps=120, learning_rate=4e-3, evaluate_every=60), garments=1, shapes=4)
+    fit_smooth(dataset, folder, options)
+    fit_fine(dataset, folder, FABRIC, replace(options, loop=replace(options.loop, steps=40, evaluate_every=20)))
+    return folder
+
+
+def test_the_papers_input_and_energies_are_options(dataset, run, tmp_path):
+    from tryon_jax.tryon import load_model
+
+    (tmp_path / "model.safetensors").write_bytes(model_path(run).read_bytes())
+    loop = LoopOptions(steps=2, evaluate_every=2)
+    options = StageOptions(loop, garments=1, shapes=4, fine_input="smoothed", energy=0.1)
+    fit_fine(dataset, tmp_path, FABRIC, options)
+    record = read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]
+    assert record["options"]["energy"] == 0.1
+    assert np.isfinite(record["validation_mm"])
+    assert len(record["curve"]) == 1
+    before, after = load_model(model_path(run)).fine[FABRIC], load_model(model_path(tmp_path)).fine[FABRIC]
+    assert not np.array_equal(before.net.head.weight, after.net.head.weight)
+
+
+def test_tasks_are_done_once(dataset):
+    config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
+    assert all(run_task(str(dataset), task) == "" for wave in plan(config, ["tshirt-0"], 2, 2) for task in wave)
+
+
+def test_training_improves_on_doing_nothing(dataset, run):
+    from tryon_jax.tryon import load_model
+
+    model = load_model(model_path(run))
+    samples = load_samples(model, dataset, ["tshirt-0"])
+    [samples_set] = smooth_sets(samples, load_manifest())
+    nothing = np.asarray(samples_set.garment.graph.vertices)[None]
+    mask = np.asarray(samples_set.garment.graph.mask)
+    predictor = Predictor(model.config, "smooth")
+    for shapes, share in ((samples_set.train, 0.5), (samples_set.validation, 0.8)):
+        assert shapes.any()
+        error = validation_error(predictor, model.smooth, [replace(samples_set, validation=shapes)])
+        before = 1e3 * np.linalg.norm((samples_set.targets - nothing)[:, mask][shapes], axis=-1).mean()
+        assert error < share * before
+
+
+def test_record_says_how_it_was_trained(run):
+    training = read_record(model_path(run))["training"]
+    assert {"mean", "smooth", f"fine-{FABRIC}"} <= set(training)
+    assert training["smooth"]["steps"] == 120
+    assert json.loads((run / "smooth" / "record.json").read_text())["stage"] == "smooth"
+
+
+def test_test_shapes_are_marked_and_never_trained_on(dataset, run):
+    from tryon_jax.tryon import load_model
+
+    [samples] = load_samples(load_model(model_path(run)), dataset, ["tshirt-0"])
+    allowed = training_shapes(samples, load_manifest())
+    assert samples.test.sum() == 8
+    assert not (allowed & samples.test).any()
+
+
+def test_test_garments_are_refused(dataset, run):
+    from tryon_jax.tryon import load_model
+
+    bench = Bench(dataset)
+    bench.garment("tshirt-100")
+    samples = load_simulated(load_model(model_path(run)), dataset, "tshirt-0", [FABRIC])
+    with pytest.raises(PermissionError, match="tshirt-100 is a test garment"):
+        training_shapes(replace(samples, name="tshirt-100"), load_manifest())
