@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from tryon_jax.garment.curves import inside_polygon, polygon_area
 from tryon_jax.mesh.quality import angles, signed_areas
-from tryon_jax.mesh.topology import directed_edges, edge_keys
+from tryon_jax.mesh.topology import directed_edges, edge_keys, unique_keys
 
 JITTER = 0.7
 """Radius of the disk in which the points of the starting grid are jittered, as a share of its pitch."""
@@ -147,7 +147,7 @@ def relax(
     first = second = close = beside = np.zeros(0, np.int64)
     for step in range(iterations):
         if step % refresh == 0:
-            keys = np.unique(edge_keys(directed_edges(delaunay_inside(points, fixed)), count))
+            keys = unique_keys(edge_keys(directed_edges(delaunay_inside(points, fixed)), count))
             first, second = keys // count, keys % count
             near, at = tree.query(points[fixed:], distance_upper_bound=1.5 * spacing)
             close = np.flatnonzero(np.isfinite(near))

@@ -13,7 +13,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Bool, Float, Int
 
 from tryon_jax.mesh.topology import directed_edges, edge_keys
@@ -91,17 +90,17 @@ def _homogeneous(vertices: np.ndarray) -> Float[np.ndarray, "n 10"]:
 
 
 class _Adjacency:
-    """Half-edges of the current mesh in both directions, sorted by their first vertex, with their number of faces."""
+    """Half-edges of the current mesh in both directions, sorted by `keys` = start · n + end, with their face counts."""
 
     def __init__(self, faces: np.ndarray, n: int) -> None:
         a, b, c = faces.T
-        index = (np.concatenate([a, b, c, b, c, a]), np.concatenate([b, c, a, a, b, c]))
-        matrix = sp.coo_array((np.ones(len(index[0]), np.int8), index), shape=(n, n)).tocsr()
-        self.first = matrix.indptr.astype(np.int64)
-        self.end = matrix.indices.astype(np.int64)
-        self.num_faces = matrix.data
-        self.valence = np.diff(self.first)
-        self.start = np.repeat(np.arange(n), self.valence)
+        keys = np.sort(np.concatenate([a * n + b, b * n + c, c * n + a, b * n + a, c * n + b, a * n + c]))
+        last = np.append(keys[1:] != keys[:-1], True)
+        self.keys = keys[last]
+        self.num_faces = np.diff(np.flatnonzero(last), prepend=-1)
+        self.start, self.end = np.divmod(self.keys, n)
+        self.valence = np.bincount(self.start, minlength=n)
+        self.first = np.concatenate([[0], np.cumsum(self.valence)])
         self.border = np.zeros(n, bool)
         self.border[self.end[self.num_faces == 1]] = True
         self.frozen = np.zeros(n, bool)
@@ -186,8 +185,10 @@ def _independent(adjacency: _Adjacency, drop: np.ndarray, keep: np.ndarray, n: i
         winners = np.sort(rank[np.flatnonzero((rank < big) & (_spread(adjacency, rank) == rank))])
         if not len(winners):
             break
-        _, first = np.unique(keep[winners], return_index=True)
-        chosen = _without_crossings(adjacency, drop, keep, np.sort(np.concatenate([chosen, winners[first]])), n)
+        first = np.full(n, big)
+        np.minimum.at(first, keep[winners], winners)
+        winners_alone = winners[first[keep[winners]] == winners]
+        chosen = _without_crossings(adjacency, drop, keep, np.sort(np.concatenate([chosen, winners_alone])), n)
         taken = np.ones(n, np.int8)
         taken[drop[chosen]] = 0
         rank[_spread(adjacency, taken) == 0] = big
@@ -208,8 +209,18 @@ def _without_crossings(
     other = np.where(ring >= 0, keeper_of[ring], -1)
     row, column = np.nonzero((other >= 0) & (other != chosen[:, None]))
     one, two = chosen[row], other[row, column]
-    mutual = np.isin(one * n + two, two * n + one)
-    return np.setdiff1d(chosen, np.maximum(one, two)[mutual], assume_unique=True)
+    mutual = _find(two * n + one, np.sort(one * n + two)) >= 0
+    stays = np.ones(len(drop), bool)
+    stays[np.maximum(one, two)[mutual]] = False
+    return chosen[stays[chosen]]
+
+
+def _find(keys: np.ndarray, ordered: np.ndarray) -> Int[np.ndarray, " k"]:
+    """Place of each key in an ordered array, -1 where it is not in it."""
+    if not len(ordered):
+        return np.full(len(keys), -1)
+    at = np.minimum(np.searchsorted(ordered, keys), len(ordered) - 1)
+    return np.where(ordered[at] == keys, at, -1)
 
 
 def coarsen(
@@ -246,7 +257,8 @@ def coarsen(
         drop, keep, num_faces = adjacency.start, adjacency.end, adjacency.num_faces
         allowed = (num_faces <= 2) & ~adjacency.frozen[drop] & ((num_faces == 1) | ~adjacency.border[drop])
         if len(banned):
-            allowed &= ~np.isin(drop * n + keep, banned)
+            at = _find(banned, adjacency.keys)
+            allowed[at[at >= 0]] = False
         edge = points[drop] - points[keep]
         regular = length_weight * mean_area * np.einsum("hi,hi->h", edge, edge) * (count_in[drop] + count_in[keep])
         own = np.einsum("nq,nq->n", quadric, position)

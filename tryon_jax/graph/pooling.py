@@ -56,16 +56,26 @@ def closest_on_triangles(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Triangle and barycentric weights of the closest point, among the triangles with the nearest centroids."""
     corners = vertices[faces]
+    centroids = corners.mean(axis=1)
+    reach = np.linalg.norm(corners - centroids[:, None], axis=2).max(axis=1)
     count = min(_CANDIDATES, len(faces))
-    _, candidate = cKDTree(corners.mean(axis=1)).query(points, k=count)
-    candidate = candidate.reshape(len(points), count)
-    triangles = corners[candidate]
-    weights = barycentric_of_closest(
-        points[:, None, :], triangles[..., 0, :], triangles[..., 1, :], triangles[..., 2, :]
-    )
-    offset = np.einsum("nkc,nkci->nki", weights, triangles) - points[:, None, :]
-    best = np.argmin(np.einsum("nki,nki->nk", offset, offset), axis=1)
+    to_centroid, candidate = cKDTree(centroids).query(points, np.arange(1, count + 1))
+    weights = np.zeros((*candidate.shape, 3))
+    distance = np.full(candidate.shape, np.inf)
+
+    def examine(point: np.ndarray, k: np.ndarray | int) -> None:
+        triangle, p = corners[candidate[point, k]], points[point]
+        weight = barycentric_of_closest(p, triangle[:, 0], triangle[:, 1], triangle[:, 2])
+        weights[point, k] = weight
+        distance[point, k] = np.linalg.norm(np.einsum("nc,nci->ni", weight, triangle) - p, axis=1)
+
     row = np.arange(len(points))
+    examine(row, 0)
+    # No point of a triangle is nearer than its centroid less its reach: most candidates need no examination.
+    hopeful = to_centroid - reach[candidate] < distance[:, :1] + 1e-12
+    hopeful[:, 0] = False
+    examine(*np.nonzero(hopeful))
+    best = np.argmin(distance, axis=1)
     return candidate[row, best], weights[row, best]
 
 
