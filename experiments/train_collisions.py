@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from experiments._curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.recipes import fit_collisions, model_path
@@ -24,6 +25,7 @@ def main(config: Config) -> None:
     fabrics = config.fabrics or tuple(read_record(model_path(config.run))["config"]["fabrics"])
     for fabric in fabrics:
         fit_collisions(config.run, fabric, config.collisions)
+        draw_curve(config.run / f"collisions-{fabric}", "vertices inside, held-out garments, %")
         record = read_record(model_path(config.run))["training"][f"collisions-{fabric}"]
         for name in ("training", "held_out"):
             before, after = record[f"inside_{name}_percent"]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from experiments._curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.recipes import StageOptions, fit_fine, model_path
@@ -25,5 +26,6 @@ def main(config: Config) -> None:
     """Train one fabric after the other and report the validation errors."""
     for fabric in config.fabrics or read_config(config.data).fabrics:
         fit_fine(config.data, config.run, fabric, config.stage)
+        draw_curve(config.run / f"fine-{fabric}", "validation error, mm")
         record = read_record(model_path(config.run))["training"][f"fine-{fabric}"]
         print(f"R_fine {fabric}: {record['validation_mm']:.2f} mm on validation shapes, {record['seconds']} s")

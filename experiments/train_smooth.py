@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from experiments._curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import StageOptions, fit_smooth, model_path
@@ -22,5 +23,6 @@ class Config:
 def main(config: Config) -> None:
     """Train and report the validation error."""
     fit_smooth(config.data, config.run, config.stage)
+    draw_curve(config.run / "smooth", "validation error, mm")
     record = read_record(model_path(config.run))["training"]["smooth"]
     print(f"R_smooth: {record['validation_mm']:.2f} mm on validation shapes, {record['seconds']} s")
