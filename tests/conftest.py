@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import hypothesis
 import jax
+import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
 
@@ -22,3 +23,11 @@ def x64() -> Iterator[None]:
     """Float64 for the duration of one test."""
     with jax.enable_x64(True):
         yield
+
+
+@pytest.fixture(scope="module")
+def unchecked() -> Iterator[None]:
+    """No shape checks: stacked pytrees have a leading axis, optimisers put scalars where weights belong."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -32,14 +31,6 @@ def dataset(tmp_path_factory):
         for task in wave:
             assert run_task(str(root), task)
     return root
-
-
-@pytest.fixture(scope="module")
-def unchecked():
-    """No shape checks meanwhile: optimisers put scalars (norms of leaves) where a network's weights belong."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(scope="module")
