@@ -38,6 +38,23 @@ def test_round_trip(saved):
     assert [p.name for p in path.parent.iterdir()] == ["net.safetensors"]
 
 
+def test_weights_may_be_stored_in_half_precision(saved, tmp_path):
+    path, tree = saved
+    half = tmp_path / "half.safetensors"
+    save_store(half, tree, {}, half=True)
+    assert half.stat().st_size < path.stat().st_size
+    names = tree_names(tree)
+    arrays = load_store(half, names)
+    for name, wanted in names.items():
+        assert arrays[name].dtype == wanted.dtype
+        exact = ".weight" not in name
+        np.testing.assert_allclose(arrays[name], wanted, rtol=0 if exact else 1e-3, atol=0 if exact else 1e-6)
+    # Positions are never rounded.
+    positions = {"center": np.full((4, 3), 0.1234567, np.float32)}
+    save_store(half, positions, {}, half=True)
+    assert np.array_equal(load_store(half, positions)["center"], positions["center"])
+
+
 def test_differences_are_listed(saved):
     path, tree = saved
     other = tree_names({"net": init_unet(jax.random.key(0), UNetConfig(widths=(3, 5)), 2), "offset": np.float32(0)})

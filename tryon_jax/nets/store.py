@@ -51,11 +51,21 @@ def tree_names(tree: Any) -> dict[str, Any]:
     return named
 
 
-def save_store(path: str | Path, tree: Any, record: Mapping[str, Any]) -> None:
-    """Write the arrays of `tree` and `record` (plain JSON values) to one file, whole or not at all."""
+def save_store(path: str | Path, tree: Any, record: Mapping[str, Any], half: bool = False) -> None:
+    """Write the arrays of `tree` and `record` (plain JSON values) to one file, whole or not at all.
+
+    `half` stores the networks' float32 weights as float16; they are read back as float32. Biases, scales and positions
+    keep their precision.
+    """
     arrays = {name: np.asarray(leaf, order="C") for name, leaf in tree_names(tree).items()}
+    if half:
+        arrays |= {name: array.astype(np.float16) for name, array in arrays.items() if _may_be_half(name, array)}
     metadata = {"schema": SCHEMA, "record": json.dumps(record, sort_keys=True)}
     write_bytes(path, save(arrays, metadata=metadata))
+
+
+def _may_be_half(name: str, array: np.ndarray) -> bool:
+    return ".weight" in name and array.dtype == np.float32 and bool((np.abs(array) < 6e4).all())
 
 
 def read_record(path: str | Path) -> dict[str, Any]:
@@ -96,6 +106,8 @@ def load_store(path: str | Path, expected: Mapping[str, Any]) -> dict[str, Array
     faults += [f"{name} is not part of the model" for name in arrays if name not in expected]
     for name in expected.keys() & arrays.keys():
         found, wanted = arrays[name], (tuple(expected[name].shape), np.dtype(expected[name].dtype))
+        if found.dtype == np.float16 and wanted[1] == np.float32:
+            found = arrays[name] = found.astype(np.float32)
         if (found.shape, found.dtype) != wanted:
             faults.append(f"{name} is {found.dtype}{list(found.shape)}, not {wanted[1]}{list(wanted[0])}")
         elif not np.isfinite(found).all():

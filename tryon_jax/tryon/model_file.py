@@ -18,11 +18,15 @@ from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_pa
 from tryon_jax.types import Body
 
 
-def save_model(path: str | Path, model: TryOnModel, training: Mapping[str, Any] | None = None) -> None:
-    """Write parameters, configuration, body and pattern fingerprints and a training record to a safetensors file."""
-    store.save_store(
-        path, model_parameters(model), _record(model.config, model.body) | {"training": dict(training or {})}
-    )
+def save_model(
+    path: str | Path, model: TryOnModel, training: Mapping[str, Any] | None = None, half: bool = False
+) -> None:
+    """Write parameters, configuration, body and pattern fingerprints and a training record to a safetensors file.
+
+    `half` stores the networks' weights in half precision.
+    """
+    record = _record(model.config, model.body) | {"training": dict(training or {})}
+    store.save_store(path, model_parameters(model), record, half=half)
 
 
 def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
