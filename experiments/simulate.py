@@ -1,18 +1,16 @@
 """Simulate the ground-truth dataset (designs x topologies x fabrics x body shapes), resumable at any moment."""
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tqdm import tqdm
-
+from experiments._pool import checksums, open_pool, run_all
+from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_range
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import DatasetConfig, default_root, open_dataset
-from tryon_jax.training.generate import Task, end_with_parent, garment_names, plan, run_task
+from tryon_jax.training.generate import garment_names, plan, run_task
 
 
 @dataclass(frozen=True)
@@ -39,6 +37,9 @@ class Config:
     vertices and downsampled (17246: the paper)."""
     processes: int = os.cpu_count() or 1
     """Worker processes, one core each; more machines may work on the same folder."""
+    scheduler: str = ""
+    """Address of a Dask scheduler, such as tcp://host:8786, whose workers do the work instead (extra `distributed`);
+    they must see the folder at the same path. Samples and checksums do not depend on who simulates them."""
 
 
 def main(config: Config) -> None:
@@ -67,31 +68,11 @@ def main(config: Config) -> None:
         designs, seeds = [config.topology_design], manifest.test_seeds
     root = open_dataset(config.out.expanduser(), dataset)
     waves = plan(dataset, garment_names(manifest, designs, seeds), config.rays, templates)
-    # One core each: the solver's arrays are too small to share a thread pool, two processes are twice as fast.
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    context = multiprocessing.get_context("spawn")
     failed: list[str] = []
-    with ProcessPoolExecutor(config.processes, mp_context=context, initializer=end_with_parent) as pool:
-        try:
-            for name, wave in zip(("mean body", "templates", "rays"), waves, strict=True):
-                _run_wave(pool, root, name, wave, failed)
-        except KeyboardInterrupt:
-            pool.shutdown(cancel_futures=True)
-            raise
+    with open_pool(config.processes, config.scheduler) as pool:
+        for name, wave in zip(("mean body", "templates", "rays"), waves, strict=True):
+            missing = [(str(root), task) for task in wave if not task.path(root).exists()]
+            failed += run_all(pool, name, run_task, missing, len(wave) - len(missing))
+    write_text(root / "checksums.txt", checksums(root))
     if failed:
         raise RuntimeError(f"{len(failed)} tasks failed, the first: {failed[0]}")
-
-
-def _run_wave(pool: ProcessPoolExecutor, root: Path, name: str, wave: list[Task], failed: list[str]) -> None:
-    missing = [task for task in wave if not task.path(root).exists()]
-    with tqdm(total=len(wave), initial=len(wave) - len(missing), desc=name, unit="file", mininterval=2) as bar:
-        futures = {pool.submit(run_task, str(root), task): task for task in missing}
-        for future in as_completed(futures):
-            bar.update()
-            error = future.exception()
-            if error is None:
-                bar.set_postfix_str(future.result()[:90])
-            else:
-                task = futures[future]
-                failed.append(f"{task}: {error}")
-                tqdm.write(f"failed: {failed[-1]}")
