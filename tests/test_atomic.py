@@ -38,3 +38,9 @@ def test_permissions_are_those_of_an_ordinary_file(tmp_path):
 def test_a_directory_is_refused_by_name(tmp_path):
     with pytest.raises(IsADirectoryError, match=f"{tmp_path.name}.*is a directory"):
         write_text(tmp_path, "x")
+
+
+def test_a_place_that_takes_no_files_is_named(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OSError, match=r"cannot write '.*file/mesh\.npz': "):
+        write_text(tmp_path / "file" / "mesh.npz", "x")

@@ -16,12 +16,16 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
     Raises:
         IsADirectoryError: `path` is a directory.
+        OSError: nothing can be written there.
     """
     target = Path(path).expanduser()
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {str(target)!r}: it is a directory, a file name is needed")
-    target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    except OSError as error:
+        raise type(error)(f"cannot write {str(target)!r}: {error.strerror}") from error
     os.close(handle)
     temporary = Path(name)
     try:

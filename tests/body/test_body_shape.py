@@ -93,5 +93,7 @@ def test_bad_betas_and_names_are_refused() -> None:
         check_betas(body, [0.0, float("nan")])
     with pytest.raises(ValueError, match=r"0 to 10 numbers.*\(12,\)"):
         check_betas(body, np.zeros(12))
+    with pytest.raises(ValueError, match="beta 2 = -50 is outside its range -5 to 5 standard deviations"):
+        check_betas(body, [0.0, -50.0])
     with pytest.raises(ValueError, match="did you mean 'female'"):
         load_body("femal")

@@ -2,6 +2,7 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike as AnyArrayLike
 
@@ -10,6 +11,9 @@ from tryon_jax.types import ArrayLike, Body
 
 # Shape is a sum of ten millimetre-sized terms: reduced-precision matrix units would add visible noise to the skin.
 EXACT = jax.lax.Precision.HIGHEST
+
+MAX_BETA = 5.0
+"""Largest deviation from the mean that is taken for a wish and not for a mistake, standard deviations."""
 
 
 def shape_body(body: Body, betas: Float[ArrayLike, " b"]) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"]]:
@@ -34,11 +38,18 @@ def shape_body(body: Body, betas: Float[ArrayLike, " b"]) -> tuple[Float[Array, 
 def check_betas(body: Body, betas: AnyArrayLike) -> Float[Array, " b"]:
     """`betas` as a float vector fit for `shape_body`, for values that a user hands in (host side).
 
-    Raises `ValueError` for a wrong length, NaN or infinity, `TypeError` for things that are not numbers.
+    Raises `ValueError` for a wrong length, NaN, infinity or a value beyond `MAX_BETA`, `TypeError` for things that are
+    not numbers.
     """
     vector = check_finite("betas", betas)
     if vector.ndim != 1 or len(vector) > body.num_betas:
         raise ValueError(
             f"betas must be 0 to {body.num_betas} numbers for body {body.name!r}, got an array of shape {vector.shape}"
+        )
+    far = np.flatnonzero(np.abs(vector) > MAX_BETA)
+    if len(far):
+        k = far[0]
+        raise ValueError(
+            f"beta {k + 1} = {vector[k]:g} is outside its range {-MAX_BETA:g} to {MAX_BETA:g} standard deviations"
         )
     return jnp.asarray(vector, jnp.result_type(float))
