@@ -6,7 +6,10 @@ the step's number and keeps what its devices need; the first one alone reads and
 """
 
 import json
-from collections.abc import Callable, Sequence
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -24,32 +27,38 @@ AXIS = "data"
 """Name of the axis of devices."""
 
 
-def join_processes(coordinator: str, processes: int, process: int, heartbeat: int = 20) -> None:
-    """Make this process one of several that train together; call it before JAX is used for anything else.
+@contextmanager
+def joined_processes(coordinator: str, processes: int, process: int, heartbeat: int = 100) -> Iterator[None]:
+    """Make this process one of several that train together; enter before JAX is used for anything else.
+
+    Whatever ends one process ends them all, each with one line and an exit code that is not 0: the one that is left
+    would otherwise wait for the others for ever. What the last checkpoint holds is not lost.
 
     Args:
         coordinator: host:port at which process 0 can be reached by all others.
         processes: how many there are.
         process: number of this one, from 0.
-        heartbeat: seconds without a sign of life after which a process counts as lost; the others then end.
+        heartbeat: seconds without a sign of life after which a process counts as lost, where no connection broke.
 
     Raises:
         ValueError: the numbers do not fit, or `coordinator` is not host:port.
-        RuntimeError: the others did not come within a minute.
+        RuntimeError: the others did not come within five minutes.
     """
     check_range("processes", processes, 1, 4096)
     check_range("process", process, 0, processes - 1)
     if not coordinator.rpartition(":")[2].isdigit():
         raise ValueError(f"coordinator = {coordinator!r} must be host:port")
-    jax.distributed.initialize(
-        coordinator,
-        processes,
-        process,
-        initialization_timeout=60,
-        heartbeat_timeout_seconds=heartbeat,
-        # The others may be gone: do not wait for them at the end.
-        shutdown_timeout_seconds=heartbeat,
-    )
+    jax.distributed.initialize(coordinator, processes, process, heartbeat_timeout_seconds=heartbeat)
+    try:
+        yield
+    except BaseException as error:
+        lost = isinstance(error, jax.errors.JaxRuntimeError)
+        reason = "another process was lost; start all of them again to continue" if lost else "ended"
+        detail = " ".join(str(error).split())[:300] or type(error).__name__
+        print(f"process {process}: {reason} ({detail})", file=sys.stderr, flush=True)
+        # Python's own way out would wait for the processes that are gone.
+        os._exit(130 if isinstance(error, KeyboardInterrupt) else 1)
+    jax.distributed.shutdown()
 
 
 class SingleDevice:
@@ -86,7 +95,7 @@ class SingleDevice:
 class DataParallel(SingleDevice):
     """Training on several devices, of one process or of several."""
 
-    def __init__(self, devices: Sequence[jax.Device]) -> None:
+    def __init__(self, devices: Sequence[Any]) -> None:
         self.mesh = Mesh(np.array(devices), (AXIS,))
         self.is_main = jax.process_index() == 0
         self.shared = any(device.process_index != devices[0].process_index for device in devices)
