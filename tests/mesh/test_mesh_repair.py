@@ -148,6 +148,10 @@ def test_a_moebius_strip_is_refused() -> None:
         (VERTICES * 0.01, FACES, r"is 0\.006 units across"),
         (np.where(VERTICES > 0.55, np.nan, VERTICES), FACES, "vertices of mesh must be finite"),
         (VERTICES, FACES[:, [0, 0, 1]], "no triangles with area"),
+        (VERTICES[:0], FACES, r"vertices of mesh must be an array \[n, 3\] with n > 0, got shape \(0, 3\)"),
+        (VERTICES, FACES[:0], r"faces of mesh must be an array \[n, 3\] with n > 0"),
+        (VERTICES, FACES + 1, "must index its 119 vertices, but they run from 1 to 119"),
+        (VERTICES, FACES - 1, "they run from -1 to 117"),
     ],
 )
 def test_bad_meshes(vertices: np.ndarray, faces: np.ndarray, message: str) -> None:

@@ -113,6 +113,17 @@ def load_garment(path: str | Path, unit: str = "auto", up: str = "y") -> LoadedG
     return repair_mesh(vertices, faces, uv, unit=unit, name=str(file))
 
 
+def _check_arrays(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
+    for what, array in (("vertices", vertices), ("faces", faces)):
+        if np.ndim(array) != 2 or np.shape(array)[1] != 3 or not len(array):
+            raise ValueError(f"{what} of {name} must be an array [n, 3] with n > 0, got shape {np.shape(array)}")
+    if not np.issubdtype(faces.dtype, np.integer):
+        raise ValueError(f"faces of {name} must be integers, got {faces.dtype}")
+    low, high = int(faces.min()), int(faces.max())
+    if low < 0 or high >= len(vertices):
+        raise ValueError(f"faces of {name} must index its {len(vertices)} vertices, but they run from {low} to {high}")
+
+
 def _gather(scene: trimesh.Scene, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """All meshes of a scene at their places, as one."""
     vertices, faces, uvs, start = [], [], [], 0
@@ -139,7 +150,12 @@ def repair_mesh(
     unit: str = "auto",
     name: str = "mesh",
 ) -> LoadedGarment:
-    """Make a clean mesh of triangles from anywhere; see `load_garment` for what is done and what is refused."""
+    """Make a clean mesh of triangles from anywhere; see `load_garment` for what is done and what is refused.
+
+    Raises:
+        ValueError: as `load_garment`, and for arrays of other shapes, without triangles, or with indices out of range.
+    """
+    _check_arrays(vertices, faces, name)
     vertices = check_finite(f"vertices of {name}", vertices).astype(float)
     repairs: list[str] = []
     check_choice("unit", unit, ("auto", *UNITS))
