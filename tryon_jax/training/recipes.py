@@ -47,6 +47,7 @@ from tryon_jax.training.stages import (
     validation_error,
 )
 from tryon_jax.tryon import Stage, TryOnModel, config_space, init_model, load_model, save_model
+from tryon_jax.tryon.precision import cast_net
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class StageOptions:
     fine_input: FineInput = "predicted"
     """What R_fine is trained on. predicted: M_smooth as R_smooth gives it, so that it also mends that network's errors;
     smoothed: the smoothed simulation (the paper)."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Arithmetic of the network while it is trained; weights, optimiser, losses and the result stay float32."""
     energy: float = 0.0
     """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
 
@@ -207,14 +210,15 @@ def fit_stage(
     predictor = Predictor(model.config, kind)
 
     def loss(net: UNet, batch: Any) -> jax.Array:
-        return stage_loss(model.config, kind, Stage(net, scale), batch, options.energy, fabric)
+        used = cast_net(net, jnp.bfloat16) if options.precision == "bfloat16" else net
+        return stage_loss(model.config, kind, Stage(used, scale), batch, options.energy, fabric)
 
     def evaluate(net: UNet) -> float:
         return validation_error(predictor, Stage(net, scale), sets)
 
     identity = {
         "stage": kind,
-        "options": asdict(options),
+        "options": _options_record(options),
         "config": store.config_record(model.config),
         "dataset": checksum,
         "parameters": count_parameters(stage.net),
@@ -239,12 +243,20 @@ def _save(
         "validation_mm": min(row["validation"] for row in result.curve),
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
-        "options": asdict(options),
+        "options": _options_record(options),
         "dataset": checksum,
         "platform": _platform(),
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
     save_model(model_path(run), model, record)
+
+
+def _options_record(options: StageOptions) -> dict[str, Any]:
+    """The options; without the precision where it is float32, so that runs begun before there was a choice continue."""
+    record = asdict(options)
+    if options.precision == "float32":
+        del record["precision"]
+    return record
 
 
 def _platform() -> dict[str, str]:

@@ -139,7 +139,10 @@ def fine_features(
 
 def apply_stage(stage: Stage, graph: GarmentGraph, features: Float[Array, "N B i"]) -> Float[Array, "N B 3"]:
     """Displacements in metres; zero at padded nodes."""
-    output = apply_unet(stage.net, graph.levels, features)
+    width = jnp.asarray(stage.net.head.weight).dtype
+    # Networks of half precision compute in it (see `precision`); others follow their inputs.
+    inputs = features.astype(width) if jnp.finfo(width).bits < 32 else features
+    output = apply_unet(stage.net, graph.levels, inputs)
     return jnp.asarray(graph.mask)[:, None, None] * stage.scale * output
 
 
