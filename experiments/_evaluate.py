@@ -11,6 +11,7 @@ from tqdm import tqdm
 from experiments._record import simulated_fabrics, stages_trained
 from tryon_jax.garment.locate import locate
 from tryon_jax.garment.manifest import Manifest
+from tryon_jax.garment.mesh import SewnMesh
 from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
@@ -119,12 +120,21 @@ class PatternMap:
 
 
 def map_pattern(root: Path, name: str, other: str) -> PatternMap:
-    """Locate each vertex of garment `name` in the pattern of `other`.
+    """Locate each vertex of garment `name` in the pattern of `other`."""
+    return map_patterns(load_arrays(mesh_path(root, name)), load_arrays(mesh_path(root, other)))
+
+
+def pattern_arrays(mesh: SewnMesh) -> dict[str, np.ndarray]:
+    """What `map_patterns` reads of a mesh that is not stored."""
+    return {"faces": mesh.faces, "uv": mesh.uv, "faces_uv": mesh.faces_uv}
+
+
+def map_patterns(here: Mapping[str, np.ndarray], there: Mapping[str, np.ndarray]) -> PatternMap:
+    """Locate each vertex of one mesh (faces, uv, faces_uv) in the pattern of another one of the same design.
 
     Front panels are counter-clockwise in UV and back panels clockwise, which tells them apart where they overlap.
     """
-    here, there = load_arrays(mesh_path(root, name)), load_arrays(mesh_path(root, other))
-    count = len(here["template_vertices"])
+    count = int(here["faces"].max()) + 1
     corners, weights = np.zeros((count, 3), np.int64), np.zeros((count, 3))
     fronts = [_fronts(mesh) for mesh in (here, there)]
     for side in (True, False):
@@ -136,7 +146,7 @@ def map_pattern(root: Path, name: str, other: str) -> PatternMap:
     return PatternMap(corners, weights)
 
 
-def _fronts(mesh: dict[str, np.ndarray]) -> np.ndarray:
+def _fronts(mesh: Mapping[str, np.ndarray]) -> np.ndarray:
     a, b, c = (mesh["uv"][mesh["faces_uv"][:, k]] for k in range(3))
     u, v = b - a, c - a
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] > 0

@@ -12,6 +12,7 @@ from experiments._errors import Errors
 from experiments._evaluate import (
     Pipeline,
     Stack,
+    available,
     case_names,
     held_out_rows,
     load_all,
@@ -22,7 +23,8 @@ from experiments._evaluate import (
     spread,
 )
 from experiments._neighbours import Drapes, NearestGarments, load_drapes, transfer
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, describe_dataset, describe_model, read_result, write_result
+from experiments.ablation import block_ratio
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import Skin, compare_wrinkles, fine_part, vertex_distances
@@ -90,7 +92,9 @@ def main(config: Config) -> None:
         every = held_out_rows(garments[name], fabrics, 0)
         wanted[TWINS, name] = rows_with(garments[name], every, np.concatenate(shared))
     betas = np.unique(np.concatenate([garments[n].betas[rows] for (_, n), rows in wanted.items()]), axis=0)
-    trained = {f: {n: load_drapes(model, config.data, n, f) for n in full["as trained"]} for f in fabrics}
+    # All that any training may see, so that the kNN lacks nothing that the networks were given.
+    known = available(config.data, manifest.training_garments())
+    trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
     pipeline, skin = Pipeline(model), Skin(model.body)
     tables: dict[str, Table] = {case: {} for case in cases}
@@ -102,8 +106,11 @@ def main(config: Config) -> None:
             for row, by_fabric in measured.items():
                 for fabric, errors in by_fabric.items():
                     tables[case].setdefault(row, {}).setdefault(fabric, Errors()).update(errors)
+    ablation = read_result(config.out, "ablation")
     results = {
         "garments": {case: len(names) for case, names in cases.items()},
+        "known_garments": len(known),
+        "held_out_block": None if ablation is None else block_ratio(ablation["results"]),
         "table": {
             case: {row: {fabric: e.summary() for fabric, e in by.items()} for row, by in table.items()}
             for case, table in tables.items()
@@ -114,7 +121,7 @@ def main(config: Config) -> None:
         "accuracy",
         config,
         results,
-        dataset=describe_dataset(config.data, sorted({*garments, *full["as trained"]})),
+        dataset=describe_dataset(config.data, sorted({*garments, *known})),
         model=describe_model(weights),
     )
     for line in markdown(results):
@@ -242,7 +249,42 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
                 wrinkles = f"{total} · {varying} ({_number(averaged['wrinkle_correlation'])})"
             lines.append(f"| {title} | {' | '.join(cells)} | {wrinkles} | {_number(averaged['inside_percent'])} |")
         lines.append("")
-    return lines
+    return [*lines, *aims(results)]
+
+
+def aims(results: Mapping[str, Any]) -> list[str]:
+    """Each aim beside what was measured; averages over the fabrics."""
+
+    def value(case: str, row: str = "pipeline", key: str = "mean_mm") -> float | None:
+        by_fabric = results["table"].get(case, {}).get(row)
+        return None if by_fabric is None else _average(by_fabric, key)
+
+    trained, unseen, spread_mm = value("as trained"), value("unseen design"), value("as trained", "spread")
+    twins, topologies, kin = value(TWINS), value("unseen topology"), value("unseen design", "neighbours")
+    ends = value("as trained", key="ends_mm")
+    wrinkles = [value("as trained", key=f"wrinkles_{kind}") for kind in ("total", "varying")]
+    block = results.get("held_out_block")
+    rows = [
+        ("trained design and topology, mm", trained, 0.0, 3.5),
+        ("unseen topology ÷ trained ones of that design", _ratio(topologies, twins), 0.0, 1.1),
+        ("unseen design, mm", unseen, 0.0, 4.0),
+        ("unseen design ÷ kNN", _ratio(unseen, kin), 0.0, 1.0),
+        ("unseen design ÷ simulator's spread", _ratio(unseen, spread_mm), 0.0, 1.5),
+        ("ends of the range ÷ mean", _ratio(ends, trained), 0.0, 1.5),
+        ("held-out block of betas ÷ mean (short training, see Ablation)", block and block["ratio"], 0.0, 1.5),
+        ("wrinkles, energy ÷ simulated", wrinkles[0], 0.7, 1.1),
+    ]
+    lines = ["| aim | measured | wanted | |", "|---|---|---|---|"]
+    for title, measured, low, high in rows:
+        wanted = f"{low:g} to {high:g}" if low else f"at most {high:g}"
+        word = "not measured" if measured is None else "reached" if low <= measured <= high else "not reached"
+        lines.append(f"| {title} | {_number(measured)} | {wanted} | {word} |")
+    varying = "–" if wrinkles[1] is None else f"{wrinkles[1]:.2f}"
+    return [*lines, "", f"The part of the wrinkles that comes with the body has {varying} of the simulated energy."]
+
+
+def _ratio(part: float | None, whole: float | None) -> float | None:
+    return None if part is None or not whole else part / whole
 
 
 def _average(by_fabric: Mapping[str, Mapping[str, Any]], key: str) -> float | None:

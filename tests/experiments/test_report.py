@@ -9,7 +9,7 @@ import pytest
 from experiments import collisions, materials, memory, new_topologies, report
 from experiments._errors import Errors
 from experiments._record import read_result, stages_trained, write_result
-from experiments.accuracy import ROWS, markdown
+from experiments.accuracy import ROWS, aims, markdown
 from tryon_jax.nets.store import save_store
 
 
@@ -50,6 +50,25 @@ def test_the_accuracy_table_shows_what_was_measured():
     assert ROWS["pipeline"] in lines
     assert ROWS["transfer"] not in lines
     assert "**unseen topology**: nothing simulated, not measured" in lines
+
+
+def test_aims_are_judged_by_the_numbers_beside_them():
+    results = accuracy_results()
+    lines = "\n".join(markdown(results))
+    assert "| trained design and topology, mm | 3.10 | at most 3.5 | reached |" in lines
+    assert "| unseen topology ÷ trained ones of that design | – | at most 1.1 | not measured |" in lines
+    assert "| ends of the range ÷ mean | 1.00 | at most 1.5 | reached |" in lines
+    assert "(short training, see Ablation) | – |" in lines
+    results["table"]["unseen design"] = {
+        "pipeline": {"a": {"mean_mm": 4.5}, "b": {"mean_mm": 3.9}},
+        "neighbours": {"a": {"mean_mm": 4.0}, "b": {"mean_mm": 4.0}},
+    }
+    results["held_out_block"] = {"ratio": 1.6}
+    lines = "\n".join(aims(results))
+    assert "| unseen design, mm | 4.20 | at most 4 | not reached |" in lines
+    assert "| unseen design ÷ kNN | 1.05 | at most 1 | not reached |" in lines
+    assert "| unseen design ÷ simulator's spread | 1.35 | at most 1.5 | reached |" in lines
+    assert "(short training, see Ablation) | 1.60 | at most 1.5 | not reached |" in lines
 
 
 def test_the_page_has_each_record_and_lists_the_rest(tmp_path):
