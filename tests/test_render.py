@@ -114,6 +114,24 @@ def test_the_inside_of_cloth_is_darker_than_its_outside():
     assert inside[60, 60].sum() < 0.8 * outside[60, 60].sum()
 
 
+def test_hems_are_stitched_beside_open_borders_and_not_on_maps():
+    rod = trimesh.creation.cylinder(0.3, 0.4, sections=48).subdivide().subdivide()
+    sleeve = rod.submesh([np.abs(rod.face_normals[:, 2]) < 0.5], append=True)
+    points, faces = np.asarray(sleeve.vertices)[:, [0, 2, 1]], np.asarray(sleeve.faces)[:, ::-1]
+    plain, mapped = (
+        draw(ball(0.2), (points, faces), views=("front",), height=800, garment_colors=colors, crop="garment")
+        for colors in ((0.5, 0.5, 0.5), np.full((len(points), 3), 0.5))
+    )
+    middle = plain.shape[1] // 2
+    ratio = (plain / mapped)[:, middle - 20 : middle + 20].mean(axis=(1, 2))
+    hem = np.flatnonzero(ratio < 0.995)
+    pixel = (0.4 + 2 * 0.09) / 800
+    # Above the lower and below the upper border lies one hem each, 16 mm wide, darkest at its stitches.
+    assert 2 * 0.014 < len(hem) * pixel < 2 * 0.022
+    assert ratio[hem].min() < 0.97
+    assert (ratio[hem[0] - 20 : hem[0] - 5] == 1).all()
+
+
 def test_left_and_right_views_differ_for_an_asymmetric_body():
     vertices, faces = ball()
     vertices = vertices * [1, 1, 0.4] + np.array([0.2, 0, 0]) * (vertices[:, 1:2] > 0)

@@ -4,12 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.spatial import cKDTree
 
 from tryon_jax.export import vertex_normals
+from tryon_jax.mesh.topology import border_edges
 from tryon_jax.render.light import sky_light
 
 _FLOOR_HALF_WIDTH = 1.5
 _FLOOR_SAMPLES = 96
+# Metres between points of open borders from which distances are measured.
+_BORDER_STEP = 0.003
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,8 @@ class Scene:
     """Linear light."""
     sky: Float[np.ndarray, "V 2"]
     """Light of the sky on the front and on the back."""
+    border: Float[np.ndarray, "V 1"]
+    """Distance from the cloth's open borders, metres; infinite where no hem is drawn."""
     floor: Float[np.ndarray, "N N 3"]
     """Points of the floor; rows along z, columns along x."""
     floor_sky: Float[np.ndarray, "N N"]
@@ -63,6 +69,11 @@ def build_scene(
     paints = zip((body_colors, garment_colors), counts, strict=False)
     colors = linear_light(np.concatenate([np.broadcast_to(paint, (count, 3)) for paint, count in paints]))
 
+    border = np.full((len(vertices), 1), np.inf)
+    # A map of measured colours is shown as it is, without hems.
+    if garment is not None and garment_colors.ndim == 1:
+        border[starts[1] :, 0] = _border_distance(garment[0].astype(np.float64), garment[1].astype(np.int64))
+
     floor = _floor(vertices)
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), (floor[..., 0].size, 3))
     cloth = slice(starts[1], None)
@@ -82,9 +93,22 @@ def build_scene(
         face_is_cloth=faces[:, 0] >= starts[1],
         colors=colors,
         sky=sky,
+        border=border,
         floor=floor,
         floor_sky=floor_sky.reshape(floor.shape[:2]),
     )
+
+
+def _border_distance(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, " V"]:
+    """Distance of each vertex from hems, cuffs and neckline, metres; infinite for closed cloth."""
+    edges = border_edges(faces, len(vertices))
+    if not len(edges):
+        return np.full(len(vertices), np.inf)
+    start, along = vertices[edges[:, 0]], vertices[edges[:, 1]] - vertices[edges[:, 0]]
+    count = np.ceil(np.linalg.norm(along, axis=1) / _BORDER_STEP).astype(int) + 1
+    edge = np.repeat(np.arange(len(edges)), count)
+    part = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)) / np.repeat(count, count)
+    return cKDTree(start[edge] + part[:, None] * along[edge]).query(vertices)[0]
 
 
 def _floor(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N N 3"]:

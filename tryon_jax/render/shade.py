@@ -19,6 +19,10 @@ _SKIN_WRAP = np.array([0.30, 0.16, 0.11])
 _CLOTH_WRAP = np.array([0.05, 0.05, 0.05])
 # The inside of cloth beside its outside.
 _INSIDE = 0.45
+# Hems are turned up and stitched: a double layer is a little darker than its neighbourhood, its stitches more so.
+_HEM_WIDTH = 0.016
+_HEM_SHADE, _STITCH_SHADE = 0.035, 0.20
+_STITCH_WIDTH = 0.0011
 # Coverage is sampled on a grid of this many squared in each pixel; each kind of surface in it is shaded once.
 _SAMPLES = 3
 
@@ -43,7 +47,7 @@ def render_view(
     scene: Scene, camera: Camera, frame: Frame, background: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
     """Linear light of the scene before `background`."""
-    key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.80, 0.70, 0.50), radius=0.13, samples=6)
+    key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.80, 0.70, 0.50), radius=0.13, samples=10)
     rim = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, 0.85, 0.45, -0.55), radius=0.0, samples=1)
 
     screen = camera.project(scene.vertices)
@@ -67,7 +71,7 @@ def render_view(
             inside = of_kind[row, column]
             sample = inside.argmax(axis=1)
             at = row * _SAMPLES + sample // _SAMPLES, column * _SAMPLES + sample % _SAMPLES
-            light = _surface(scene, camera, key, rim, fragments, *at, kind)
+            light = _surface(scene, camera, key, rim, fragments, *at, kind, frame.pixel)
             picture[row, column] += light * inside.mean(axis=1, keepdims=True)
     return picture
 
@@ -86,13 +90,15 @@ def _surface(
     row: Int[np.ndarray, " N"],
     column: Int[np.ndarray, " N"],
     kind: int,
+    pixel: float,
 ) -> Float[np.ndarray, "N 3"]:
     """Linear light that samples of one kind of surface send to the camera."""
     weights = fragments.corner_weights(scene.faces, row, column)
     corners = scene.faces[fragments.face[row, column]]
-    values = np.concatenate([scene.vertices, scene.normals, scene.colors, scene.sky], axis=1).astype(np.float32)
+    parts = [scene.vertices, scene.normals, scene.colors, scene.sky, scene.border]
+    values = np.concatenate(parts, axis=1).astype(np.float32)
     mixed = sum(values[corners[:, k]] * weights[:, k, None].astype(np.float32) for k in range(3))
-    points, normals, colors, sky = np.split(np.asarray(mixed), [3, 6, 9], axis=1)
+    points, normals, colors, sky, border = np.split(np.asarray(mixed), [3, 6, 9, 11], axis=1)
     is_cloth, is_inside = kind > 0, kind == 2
     towards = _unit(camera.position - points)
     normals = _unit(-normals if is_inside else normals)
@@ -100,6 +106,8 @@ def _surface(
     ambient = sky[:, 1:] + 0.35 * sky[:, :1] if is_inside else sky[:, :1]
     if is_inside:
         colors = _INSIDE * colors
+    elif is_cloth:
+        colors = colors * _hem(border, pixel)
 
     wrap = _CLOTH_WRAP if is_cloth else _SKIN_WRAP
     facing = (normals @ key.direction)[:, None]
@@ -113,6 +121,13 @@ def _surface(
     shine = np.clip(_dot(normals, _unit(key.direction + towards)), 0, 1)
     gloss = (0.012 * shine**8 if is_cloth else 0.05 * shine**20) * shadow * (facing > 0)
     return colors * (light + _RIM * edge) + fuzz + gloss + 0.2 * _RIM * edge * grazing**2
+
+
+def _hem(border: Float[np.ndarray, "N 1"], pixel: float) -> Float[np.ndarray, "N 1"]:
+    """What a hem leaves of the light, by the distance from the border; a line thinner than a pixel gets fainter."""
+    width = max(_STITCH_WIDTH, 0.6 * pixel)
+    stitch = np.exp(-0.5 * ((border - _HEM_WIDTH) / width) ** 2) * _STITCH_WIDTH / width
+    return 1 - _STITCH_SHADE * stitch - _HEM_SHADE * (border < _HEM_WIDTH)
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
