@@ -80,13 +80,77 @@ class Browser:
         """Everything that can be read on the page."""
         return str(self.evaluate("document.body ? document.body.innerText : ''"))
 
+    def find(self, label: str, kinds: str = "label, p, span, div, button, legend") -> str:
+        """JavaScript of the innermost, last element that says exactly `label`."""
+        return (
+            f"[...document.querySelectorAll({kinds!r})].filter("
+            f"e => e.textContent.trim() === {label!r} && ![...e.children].some(c => c.textContent.trim() === {label!r})"
+            ").pop()"
+        )
+
+    def click(self, label: str) -> None:
+        """Click on what says `label`."""
+        self.evaluate(f"{self.find(label)}.click()")
+
+    def _in_row(self, label: str, selector: str) -> str:
+        """JavaScript of the first element that matches `selector` in the row called `label`."""
+        return (
+            f"(() => {{ let row = {self.find(label)};"
+            f" while (!row.querySelector({selector!r})) row = row.parentElement;"
+            f" return row.querySelector({selector!r}); }})()"
+        )
+
+    def type_into(self, label: str, value: str) -> None:
+        """Type into the field of the control called `label`."""
+        self.evaluate(f"(field => {{ field.focus(); field.select(); }})({self._in_row(label, 'input[type=text]')})")
+        self.call("Input.insertText", text=value)
+        self.press("Enter", 13)
+
+    def press(self, key: str, code: int) -> None:
+        """Press a key where the focus is."""
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
+
+    def value_of(self, label: str) -> float:
+        """What stands in the number field of the slider called `label`."""
+        return float(str(self.evaluate(f"{self._in_row(label, 'input[type=text]')}.value")))
+
+    def drag_slider(self, label: str, pixels: int) -> None:
+        """Drag the thumb of the slider called `label` with the mouse."""
+        box = f"(box => [box.x + box.width / 2, box.y + box.height / 2])({self._in_row(label, '[role=slider]')}"
+        x, y = self.evaluate(f"{box}.getBoundingClientRect())")
+        for kind, at in (("mousePressed", x), ("mouseMoved", x + pixels), ("mouseReleased", x + pixels)):
+            held = {"button": "left", "buttons": 1, "clickCount": 1}
+            self.call("Input.dispatchMouseEvent", type=kind, x=at, y=y, **held)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose `option` in the list called `label`."""
+        self.evaluate(f"(field => {{ field.focus(); field.click(); }})({self._in_row(label, 'input')})")
+        entry = f"[...document.querySelectorAll('[role=option]')].find(e => e.textContent.trim() === {option!r})"
+        self.wait(lambda: self.evaluate(f"{entry} !== undefined"), f"the option {option!r}")
+        self.evaluate(f"{entry}.click()")
+
+    def hand_in(self, path: Path) -> None:
+        """Choose a file in the page's only file field."""
+        root = self.call("DOM.getDocument")["root"]["nodeId"]
+        field = self.call("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
+        self.call("DOM.setFileInputFiles", nodeId=field, files=[str(path)])
+
+    def download(self, label: str, name: str) -> bytes:
+        """Press the button called `label` and return the file that comes."""
+        target = self.downloads / name
+        target.unlink(missing_ok=True)
+        self.click(label)
+        self.wait(lambda: target.exists() and target.stat().st_size > 0, f"the download {name}")
+        return target.read_bytes()
+
     def screenshot(self, path: Path) -> Path:
         """Write what the page looks like."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
         return path
 
     @staticmethod
-    def wait(condition, what: str, seconds: float = 90.0) -> None:
+    def wait(condition, what: str, seconds: float = 240.0) -> None:
         """Wait until `condition()` is true."""
         end = time.monotonic() + seconds
         while not condition():

@@ -1,15 +1,28 @@
 import io
+import re
 import shlex
+from collections.abc import Iterator
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 import trimesh
 from flat_model import flat_model
 from PIL import Image
 
-from tryon_jax.viewer.takeaway import MAPS, command_line, map_colors, mesh_file, pattern_file, picture_file
-from tryon_jax.viewer.wardrobe import LAYERS, Wardrobe
+from tryon_jax.body import load_body
+from tryon_jax.mesh.repair import repair_mesh
+from tryon_jax.viewer.takeaway import (
+    MAPS,
+    command_line,
+    legend,
+    map_colors,
+    mesh_file,
+    pattern_file,
+    picture_file,
+)
+from tryon_jax.viewer.wardrobe import LAYERS, OwnMesh, Wardrobe
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +32,34 @@ def wardrobe():
 
 @pytest.fixture(scope="module")
 def look(wardrobe):
-    return wardrobe.look(wardrobe.start())
+    # The flat panels cut through the body, which is far from what a push can mend.
+    return wardrobe.finish(wardrobe.look(replace(wardrobe.start(), push_out=False)))
+
+
+@pytest.fixture
+def compilations() -> Iterator[list[str]]:
+    """Names of what JAX compiles during the test."""
+    names: list[str] = []
+
+    def note(event: str, _: float, **about: object) -> None:
+        if event == "/jax/core/compile/backend_compile_duration":
+            names.append(str(about))
+
+    jax.monitoring.register_event_duration_secs_listener(note)
+    yield names
+    jax.monitoring.unregister_event_duration_listener(note)
+
+
+def tube() -> tuple[np.ndarray, np.ndarray]:
+    """A belt round the hips of the mean body, metres."""
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
+    height = np.linspace(-0.12, 0.18, 13)
+    around, level = np.meshgrid(angle, height)
+    vertices = np.stack([0.17 * np.sin(around), level, 0.125 * np.cos(around)], axis=-1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(12), np.arange(48), indexing="ij")
+    a, b = i * 48 + j, i * 48 + (j + 1) % 48
+    pairs = [np.stack([a, b, a + 48], -1), np.stack([b, b + 48, a + 48], -1)]
+    return vertices, np.concatenate([pair.reshape(-1, 3) for pair in pairs])
 
 
 def test_every_layer_is_a_mesh(look):
@@ -35,16 +75,26 @@ def test_betas_change_the_body_and_prepare_nothing(wardrobe, look):
     taller = wardrobe.look(replace(look.wish, betas=(2.0, 0.0)))
     assert taller.measured["stature"] > look.measured["stature"] + 0.05
     assert "graph" not in taller.seconds
-    assert taller.mesh is look.mesh
+    assert taller.cloth is look.cloth
 
 
-def test_another_design_runs_the_code_that_is_compiled(wardrobe, look):
-    before = wardrobe._drape._cache_size()
+def test_nothing_is_compiled_for_another_design_body_or_fabric_seen_before(wardrobe, look, compilations):
+    fabrics = wardrobe.model.config.fabrics
+    for fabric in fabrics:
+        wardrobe.look(replace(look.wish, fabric=fabric))
+    compilations.clear()
     longest = tuple(float(v) for v in wardrobe.space.maximum)
-    other = wardrobe.look(replace(look.wish, design=longest, seed=3))
+    other = wardrobe.finish(wardrobe.look(replace(look.wish, design=longest, seed=3)))
     assert len(other.layers["drape"].vertices) > 1.3 * len(look.layers["drape"].vertices)
     assert {"pattern and mesh", "graph", "drape", "fit"} <= set(other.seconds)
-    assert wardrobe._drape._cache_size() == before
+    tank = tuple(wardrobe.space.preset("tank").values)
+    wardrobe.finish(wardrobe.look(replace(look.wish, design=tank, betas=(0.3, -0.7), fabric=fabrics[-1])))
+    assert compilations == []
+
+
+def test_compilations_are_seen(compilations):
+    jax.jit(lambda x: x + 41.5)(np.float32(1))
+    assert compilations != []
 
 
 def test_measurements_lead_to_a_body_that_has_them(wardrobe, look):
@@ -64,20 +114,54 @@ def test_impossible_wishes_are_refused(wardrobe, look, change, message):
         wardrobe.look(replace(look.wish, **change))
 
 
+def test_a_mesh_of_ones_own_is_pushed_out_and_has_no_pattern(wardrobe, look):
+    own = OwnMesh("belt.obj", repair_mesh(*tube()))
+    worn = wardrobe.look(replace(look.wish, own=own, push_out=True))
+    finished = wardrobe.finish(worn)
+    assert finished.pushed is not None
+    assert finished.pushed.inside_before > 0
+    assert finished.fit is not None
+    assert finished.fit.inside == 0
+    np.testing.assert_array_equal(finished.layers["fine stage"].vertices, worn.layers["drape"].vertices)
+    assert "template on the mean body" not in finished.layers
+    with pytest.raises(ValueError, match="no pattern"):
+        pattern_file(finished, wardrobe.space)
+    assert "--garment belt.obj" in command_line(finished.wish, wardrobe.space)
+
+
+@pytest.mark.slow
+def test_another_body_is_dressed_in_its_own_size(look):
+    wardrobe = Wardrobe(flat_model(target_area=1.5e-3), replace(load_body("male"), name="mine"))
+    assert wardrobe.dresses_another_body
+    assert len(wardrobe.start().betas) == 10
+    other = wardrobe.look(wardrobe.start())
+    assert other.measured["stature"] > look.measured["stature"] + 0.05
+    # The sleeves reach as far down the longer arms as the shoulders moved out.
+    wide, usual = (np.ptp(one.layers["fine stage"].vertices[:, 0]) for one in (other, look))
+    assert wide > usual
+
+
 def test_downloads_are_what_they_say(wardrobe, look):
     scene = trimesh.load(io.BytesIO(mesh_file(look, ".glb")), file_type="glb", process=False)
     assert set(scene.geometry) == {"body", "garment"}
-    assert mesh_file(look, ".obj").startswith(b"mtllib")
-    svg = pattern_file(look, wardrobe.space)
-    assert b"<svg" in svg
-    assert b"mm" in svg
-    with Image.open(io.BytesIO(picture_file(look))) as image:
-        assert image.format == "PNG"
+    obj = mesh_file(look, ".obj")
+    assert b"mtllib" not in obj
+    assert obj.count(b"\nf ") == len(look.body.faces) + len(look.cloth.faces)
+    whole = trimesh.load(io.BytesIO(obj), file_type="obj", process=False)
+    assert len(whole.faces) == len(look.body.faces) + len(look.cloth.faces)
+    svg = pattern_file(look, wardrobe.space).decode()
+    # True size: one unit of the drawing is one millimetre on paper.
+    width, height, box = re.search(r'width="([\d.]+)mm" height="([\d.]+)mm" viewBox="0 0 ([\d. ]+)"', svg).groups()
+    assert box == f"{width} {height}"
+    for colors in (None, "ease"):
+        with Image.open(io.BytesIO(picture_file(look, colors))) as image:
+            assert image.format == "PNG"
 
 
 def test_maps_colour_every_vertex(look):
     for name in MAPS:
-        assert map_colors(look, name).shape == look.layers["drape"].vertices.shape
+        assert map_colors(look.fit, name).shape == look.layers["drape"].vertices.shape
+        assert MAPS[name].label in legend(name)
 
 
 def test_the_command_line_makes_the_same(wardrobe, look, tmp_path, monkeypatch):
@@ -86,10 +170,9 @@ def test_the_command_line_makes_the_same(wardrobe, look, tmp_path, monkeypatch):
 
     save_model(tmp_path / "model.safetensors", wardrobe.model)
     wish = replace(look.wish, betas=(0.5, -0.25), design=tuple(wardrobe.space.preset("tshirt").values), seed=2)
-    words = shlex.split(command_line(wish, wardrobe.space))
+    words = shlex.split(command_line(wish, wardrobe.space, ("--weights", "model.safetensors")))
     monkeypatch.chdir(tmp_path)
-    options = ["--weights", "model.safetensors", "--no-push-out", "--height", "40", "--views", "front"]
-    assert main([*words[1:], *options]) == 0
+    assert main([*words[1:], "--height", "40", "--views", "front"]) == 0
     garment = trimesh.load("garment.glb", process=False).geometry["garment"]
     drape = wardrobe.look(wish).layers["drape"]
     np.testing.assert_allclose(garment.triangles, drape.vertices[drape.faces], atol=1e-4)

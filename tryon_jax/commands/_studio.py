@@ -19,6 +19,7 @@ from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.build import closest_body_vertices
 from tryon_jax.mesh.repair import load_garment
 from tryon_jax.mesh.signed_distance import ClosedSurface
+from tryon_jax.other_body import OtherBody
 from tryon_jax.posing import pose_dressed, soft_skinning
 from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare, prepare_mesh
@@ -72,9 +73,10 @@ class Draped:
 class Studio:
     """A model with the garments that it has prepared; one compiled drape serves all of one size.
 
-    With a `clearance` in metres, drapes are pushed out of the body to it. `triangle_area` is the mean area of
-    the cloth's triangles in square centimetres, None for what the networks were trained on; another `seed` gives other
-    meshes of the same garments.
+    With a `clearance` in metres, drapes are pushed out of the body to it. With an `other_body` requests are for that
+    one, whose betas they give, and drapes are carried over to it. `triangle_area` is the mean area of the cloth's
+    triangles in square centimetres, None for what the networks were trained on; another `seed` gives other meshes of
+    the same garments.
     """
 
     def __init__(
@@ -83,11 +85,14 @@ class Studio:
         clock: Clock,
         *,
         clearance: float | None = None,
+        other_body: OtherBody | None = None,
         triangle_area: float | None = None,
         seed: int = 0,
     ) -> None:
         self.model = model
         self.clearance = clearance
+        self.other_body = other_body
+        self.body = model.body if other_body is None else other_body.body
         self.clock = clock
         self.seed = seed
         self.space = config_space(model.config)
@@ -99,21 +104,28 @@ class Studio:
 
     @cached_property
     def landmarks(self) -> Landmarks:
-        """Where tapes are laid on the model's body."""
-        return load_landmarks(self.model.body)
+        """Where tapes are laid on the body."""
+        return load_landmarks(self.body)
 
     def drape(self, request: Request) -> Draped:
         """Carry out one request; raises `ValueError` where it makes no sense."""
         model = self.model
         fabric = check_choice("fabric", request.fabric or model.config.fabrics[0], model.config.fabrics)
         with self.clock.stage("body"):
-            betas, remarks = resolve_betas(model.body, request.shape, model.config.num_betas)
-            body_vertices, _ = shape_body(model.body, betas)
+            other = self.other_body
+            num_betas = model.config.num_betas if other is None else self.body.num_betas
+            betas, remarks = resolve_betas(self.body, request.shape, num_betas)
+            body_vertices, _ = shape_body(self.body, betas)
+            known_betas = betas if other is None else other.nearest_betas(body_vertices)
         prepared = self.prepare(request.cut) if request.mesh is None else self.prepare_own(request.mesh)
         with self.clock.stage("drape"):
-            padded = self._drape(model, prepared.garment, betas, fabric=fabric)
+            padded = self._drape(model, prepared.garment, known_betas, fabric=fabric)
             vertices = prepared.garment.unpad(padded)
-        faces = np.asarray(model.body.faces)
+            if other is not None:
+                vertices = other.carry(vertices, self._skinning(prepared), known_betas, betas)
+                shape = " ".join(f"{beta:+.2f}" for beta in known_betas)
+                remarks.append(f"note     draped on the networks' body of betas {shape}, carried to {self.body.name}")
+        faces = np.asarray(self.body.faces)
         if self.clearance is not None:
             with self.clock.stage("push out"):
                 surface = ClosedSurface(np.asarray(body_vertices), faces)
@@ -135,13 +147,15 @@ class Studio:
     def pose(self, draped: Draped, pose: Float[np.ndarray, "J 3"]) -> Draped:
         """The same body and garment in another pose; the report of the fit stays that of the T-pose."""
         with self.clock.stage("pose"):
-            body = self.model.body
-            nearest = closest_body_vertices(draped.prepared.garment.mean_vertices, body)
-            weights = np.asarray(body.lbs_weights)[nearest]
-            soft = soft_skinning(weights, draped.prepared.faces)
+            soft = self._skinning(draped.prepared)
             points, faces = draped.body
-            posed, garment = pose_dressed(body, points, draped.vertices, soft, pose.astype(np.float32))
+            posed, garment = pose_dressed(self.model.body, points, draped.vertices, soft, pose.astype(np.float32))
         return replace(draped, body=(np.asarray(posed), faces), vertices=np.asarray(garment))
+
+    def _skinning(self, prepared: Prepared) -> Float[np.ndarray, "V J"]:
+        """Skinning weights of the garment on the networks' body."""
+        nearest = closest_body_vertices(prepared.garment.mean_vertices, self.model.body)
+        return soft_skinning(np.asarray(self.model.body.lbs_weights)[nearest], prepared.faces)
 
     def prepare(self, cut: Cut) -> Prepared:
         """The garment of a design, made once for each."""

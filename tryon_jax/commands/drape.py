@@ -16,11 +16,13 @@ from typing import Any, Literal
 import numpy as np
 
 from tryon_jax.atomic import write_text
+from tryon_jax.body import load_smpl
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._studio import Draped, Studio
 from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
 from tryon_jax.fit import Fit
+from tryon_jax.other_body import meet
 from tryon_jax.posing import read_pose
 from tryon_jax.pushout import CLEARANCE
 from tryon_jax.render import ColorScale, render_picture
@@ -38,6 +40,8 @@ class Config:
     """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
     pose: Path | None = None
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
+    smpl: Path | None = None
+    """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
     push_out: bool = True
@@ -89,10 +93,14 @@ def main(config: Config) -> None:
     requests, targets = _plan(config)
     with clock.stage("weights"):
         model = _load(config.weights)
+    with clock.stage("body"):
+        known = model.body, model.config.num_betas
+        other_body = None if config.smpl is None else meet(load_smpl(config.smpl), *known)
     studio = Studio(
         model,
         clock,
         clearance=CLEARANCE if config.push_out else None,
+        other_body=other_body,
         triangle_area=config.triangle_area,
         seed=config.seed,
     )
@@ -172,6 +180,8 @@ def _plan(config: Config) -> tuple[list[Request], list[Target]]:
             check_suffix(config.out)
         if config.picture is not None:
             check_picture_path(config.picture)
+        if config.smpl is not None and config.pose is not None:
+            raise ValueError("--pose is for the networks' body; leave it out with --smpl")
         if config.garment is not None and config.cut != Cut():
             raise ValueError("give either a design or --garment, not both")
         request = Request("garment", config.cut, config.shape, config.fabric, config.garment)

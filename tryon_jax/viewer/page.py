@@ -1,57 +1,80 @@
-"""One visitor's page: controls, the scene, and a worker that always computes the latest wish."""
+"""One visitor's page: what happens when a control is moved, and what is shown."""
 
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import viser
 
 from tryon_jax.export import CLOTH, SKIN, Material, mesh_part, write_glb
+from tryon_jax.render.picture import background
+from tryon_jax.render.scene import srgb_value
+from tryon_jax.viewer.controls import CUSTOM, DOWNLOADS, PLAIN, Controls
+from tryon_jax.viewer.latest import Latest
 from tryon_jax.viewer.simulation import Simulation
 from tryon_jax.viewer.takeaway import (
-    MAPS,
     command_line,
+    legend,
     map_colors,
     mesh_file,
     pattern_file,
     picture_file,
     through_file,
 )
-from tryon_jax.viewer.wardrobe import LAYERS, Look, Surface, Wardrobe, Wish
+from tryon_jax.viewer.upload import read_upload, refuse_large_uploads
+from tryon_jax.viewer.wardrobe import LAYERS, Look, OwnMesh, Surface, Wardrobe
 
-BETA_RANGE = 3.0
-"""Standard deviations to either side of the mean that the sliders offer."""
-TAPES = ("stature", "chest", "waist", "hip")
-"""Measurements that have sliders."""
-_BESIDE = 1.9
+# Metres: where the simulation stands, and half the side of the floor.
+_BESIDE, _FLOOR = 1.9, 3.0
+_SIMULATED = Material(color=(0.69, 0.44, 0.35), roughness=0.9, double_sided=True)
 
 
 class Page:
-    """Controls and scene of one client of the server."""
+    """Controls and scene of one client of the server.
 
-    def __init__(self, client: viser.ClientHandle, wardrobe: Wardrobe) -> None:
+    Two threads of its own follow the controls: one drapes what is wished at once, the other then pushes it out of the
+    body and measures the fit. Both work on the latest wish only, so that a slider that is dragged is never waited for.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        wardrobe: Wardrobe,
+        *,
+        own: OwnMesh | None = None,
+        source: tuple[str, ...] = (),
+    ) -> None:
         self.client = client
         self.wardrobe = wardrobe
+        self.source = source
         self.wish = wardrobe.start()
         self.look: Look | None = None
-        self._news = threading.Event()
-        self._closed = False
-        self._shown: dict[str, tuple[np.ndarray, Any]] = {}
+        # When the latest wish was uttered, and how long it took until it was seen.
+        self._asked_at = time.perf_counter()
+        self._waited = 0.0
+        self._drawing = threading.RLock()
+        self._shown: dict[str, tuple[object, np.ndarray, Any]] = {}
         self._simulation: Simulation | None = None
         # Measurements that the visitor has set, metres.
         self._asked: dict[str, float] = {}
         self._set_scene()
-        self._add_controls()
-        self._worker = threading.Thread(target=self._work, daemon=True)
-        self._worker.start()
-        self._news.set()
+        self.controls = Controls(client.gui, wardrobe)
+        self._looks = Latest(self._work_on_look, self._say)
+        self._finishes = Latest(self._work_on_finish, self._say)
+        refuse_large_uploads(client, self._say)
+        self._listen()
+        if own is None:
+            self._looks.give(self.wish)
+        else:
+            self._wear(own)
 
     def close(self) -> None:
-        """Stop the worker and a simulation that runs; the visitor has gone."""
-        self._closed = True
-        self._news.set()
+        """Stop the threads and a simulation that runs; the visitor has gone."""
+        self._looks.close()
+        self._finishes.close()
         if self._simulation is not None:
             self._simulation.cancel()
 
@@ -63,72 +86,45 @@ class Page:
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=False)
         scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(190, 185, 180), intensity=1.6)
-        scene.add_light_directional("/key", intensity=1.9, position=(-2.0, 2.5, 2.5))
-
-    def _add_controls(self) -> None:
-        gui, space, model = self.client.gui, self.wardrobe.space, self.wardrobe.model
-        gui.set_panel_label("tryon_jax")
-        with gui.add_folder("Garment"):
-            self.preset = gui.add_dropdown("preset", ("mean", *space.presets), initial_value="mean")
-            self.design = []
-            for i, name in enumerate(space.names):
-                slider = gui.add_slider(
-                    f"{name.replace('_', ' ')}, cm",
-                    min=round(100 * float(space.minimum[i]), 1),
-                    max=round(100 * float(space.maximum[i]), 1),
-                    step=0.5,
-                    initial_value=round(100 * float(space.mean[i]), 1),
-                )
-                self.design.append(slider)
-            self.fabric = gui.add_dropdown("fabric", model.config.fabrics, initial_value=model.config.fabrics[0])
-            self.seed = gui.add_number("mesh number", 0, min=0, max=999, step=1)
-        with gui.add_folder("Body"):
-            self.betas = [
-                gui.add_slider(f"beta {i + 1}", min=-BETA_RANGE, max=BETA_RANGE, step=0.05, initial_value=0.0)
-                for i in range(model.config.num_betas)
-            ]
-            self.tapes = {}
-            for name, (low, high) in self.wardrobe.tape_ranges(TAPES).items():
-                low, high = round(100 * low), round(100 * high)
-                middle = (low + high) / 2
-                self.tapes[name] = gui.add_slider(f"{name}, cm", min=low, max=high, step=0.5, initial_value=middle)
-            self.fitted = gui.add_markdown("")
-        with gui.add_folder("Show"):
-            self.layer = gui.add_dropdown("layer", LAYERS, initial_value=LAYERS[0])
-            self.map = gui.add_dropdown("colour", ("plain", *MAPS), initial_value="plain")
-            self.wireframe = gui.add_checkbox("wireframe", False)
-            self.with_body = gui.add_checkbox("body", True)
-        with gui.add_folder("Fit"):
-            self.report = gui.add_markdown("…")
-        with gui.add_folder("Compare with a simulation", expand_by_default=False):
-            self.simulate = gui.add_button("simulate this garment")
-            self.cancel = gui.add_button("cancel", visible=False)
-            self.progress = gui.add_progress_bar(0.0, visible=False)
-            self.outcome = gui.add_markdown("")
-        with gui.add_folder("Take away", expand_by_default=False):
-            files = {
-                "GLB": ("garment.glb", lambda look: mesh_file(look, ".glb")),
-                "OBJ": ("garment.obj", lambda look: mesh_file(look, ".obj")),
-                "pattern (SVG, true size)": ("pattern.svg", lambda look: pattern_file(look, space)),
-                "picture": ("garment.png", picture_file),
-            }
-            for label, (name, make) in files.items():
-                self._on_click(gui.add_button(label), self._download, name, make)
-            self.command = gui.add_text("command", "", multiline=True, disabled=True)
-        self._listen()
+        scene.add_light_directional("/key", intensity=1.9, position=(-2.0, 2.5, 2.5), cast_shadow=True)
+        # The pale studio of the pictures: a wall that runs into the floor, of which only shadows are seen.
+        wall = np.broadcast_to(srgb_value(background(256, 1)), (256, 16, 3))
+        scene.set_background_image(np.round(255 * wall).astype(np.uint8), format="png")
+        x, z = np.array([-_FLOOR, _FLOOR, _FLOOR, -_FLOOR]), np.array([_FLOOR, _FLOOR, -_FLOOR, -_FLOOR])
+        self._floor = scene.add_mesh_simple(
+            "/floor",
+            np.stack([x, np.zeros(4), z], axis=1).astype(np.float32),
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            opacity=0.0,
+            cast_shadow=False,
+            receive_shadow=0.25,
+        )
 
     def _listen(self) -> None:
-        for handle in (*self.design, self.fabric, self.seed):
+        controls = self.controls
+        for handle in controls.design:
+            self._on_change(handle, self._take_design)
+        for handle in (controls.fabric, controls.seed, controls.push_out):
             self._on_change(handle, self._changed)
-        for handle in self.betas:
+        for handle in controls.betas:
             self._on_change(handle, self._take_betas)
-        for name, handle in self.tapes.items():
+        for name, handle in controls.tapes.items():
             self._on_change(handle, self._take_measurement, name)
-        self._on_change(self.preset, self._take_preset)
-        for handle in (self.layer, self.map, self.wireframe, self.with_body):
-            self._on_change(handle, self._news.set)
-        self._on_click(self.simulate, self._start_simulation)
-        self._on_click(self.cancel, self._cancel_simulation)
+        self._on_change(controls.preset, self._take_preset)
+        for handle in (controls.layer, controls.map, controls.wireframe, controls.with_body):
+            self._on_change(handle, self._draw)
+        controls.upload.on_upload(lambda event: self._guarded(self._take_upload, event.target.value))
+        self._on_click(controls.to_pattern, self._wear, None)
+        self._on_click(controls.simulate, self._start_simulation)
+        self._on_click(controls.cancel, self._cancel_simulation)
+        makers: tuple[tuple[str, Callable[[Look], bytes]], ...] = (
+            ("garment.glb", lambda look: mesh_file(look, ".glb")),
+            ("garment.obj", lambda look: mesh_file(look, ".obj")),
+            ("pattern.svg", lambda look: pattern_file(look, self.wardrobe.space)),
+            ("garment.png", lambda look: picture_file(look, self._map)),
+        )
+        for label, (name, make) in zip(DOWNLOADS, makers, strict=True):
+            self._on_click(controls.downloads[label], self._download, name, make)
 
     def _on_change(self, handle: Any, action: Callable[..., None], *arguments: Any) -> None:
         """Act when the visitor moves something; what the program sets itself comes without a client."""
@@ -137,40 +133,72 @@ class Page:
     def _on_click(self, button: viser.GuiButtonHandle, action: Callable[..., None], *arguments: Any) -> None:
         button.on_click(lambda _: self._guarded(action, *arguments))
 
-    def _changed(self) -> None:
-        space = self.wardrobe.space
+    @property
+    def _map(self) -> str | None:
+        """The map that colours the drape, if one does."""
+        return None if self.controls.map.value == PLAIN else self.controls.map.value
+
+    def _changed(self, **changes: Any) -> None:
+        """Drape what the controls say now; `changes` are fields of the wish that have no control."""
+        controls, space = self.controls, self.wardrobe.space
         # Sliders go in steps of half a centimetre: the ends of the range may lie between two.
-        design = np.clip([slider.value / 100 for slider in self.design], space.minimum, space.maximum)
-        self.wish = Wish(
-            tuple(float(v) for v in design),
-            tuple(float(slider.value) for slider in self.betas),
-            self.fabric.value,
-            int(self.seed.value),
+        design = np.clip([slider.value / 100 for slider in controls.design], space.minimum, space.maximum)
+        self.wish = replace(
+            self.wish,
+            design=tuple(float(v) for v in design),
+            betas=tuple(float(slider.value) for slider in controls.betas),
+            fabric=controls.fabric.value,
+            seed=int(controls.seed.value),
+            push_out=bool(controls.push_out.value),
+            **changes,
         )
-        self._news.set()
+        self._asked_at = time.perf_counter()
+        self._looks.give(self.wish)
+
+    def _take_design(self) -> None:
+        self.controls.preset.value = CUSTOM
+        self._changed()
 
     def _take_preset(self) -> None:
-        space = self.wardrobe.space
-        name = self.preset.value
+        space, name = self.wardrobe.space, self.controls.preset.value
+        if name == CUSTOM:
+            return
         chosen = space.mean_design if name == "mean" else space.preset(name)
-        for slider, value in zip(self.design, chosen.values, strict=True):
+        for slider, value in zip(self.controls.design, chosen.values, strict=True):
             slider.value = round(200 * float(value)) / 2
         self._changed()
 
     def _take_betas(self) -> None:
         self._asked.clear()
-        self.fitted.content = ""
+        self.controls.fitted.content = ""
         self._changed()
 
     def _take_measurement(self, name: str) -> None:
         """The nearest body to the measurements that were set since the betas were moved; the others follow."""
-        self._asked[name] = float(self.tapes[name].value) / 100
+        self._asked[name] = float(self.controls.tapes[name].value) / 100
         fit = self.wardrobe.body_of(self._asked)
         missed = ", ".join(f"{name} {100 * miss:+.1f} cm" for name, miss in fit.residuals.items())
-        self.fitted.content = f"nearest body: {missed}"
-        for slider, beta in zip(self.betas, np.asarray(fit.betas), strict=True):
-            slider.value = float(np.clip(beta, -BETA_RANGE, BETA_RANGE))
+        self.controls.fitted.content = f"nearest body: {missed}"
+        reaches = self.wardrobe.beta_ranges
+        for slider, beta, reach in zip(self.controls.betas, np.asarray(fit.betas), reaches, strict=True):
+            slider.value = float(np.clip(beta, -reach, reach))
         self._changed()
+
+    def _take_upload(self, file: viser.UploadedFile) -> None:
+        self._wear(read_upload(file.name, file.content))
+
+    def _wear(self, own: OwnMesh | None) -> None:
+        """Put on a mesh of the visitor's own, or go back to the pattern."""
+        if own is not None:
+            # What is wrong with a mesh shows when it is prepared: then the page stays as it was.
+            self.wardrobe.look(replace(self.wish, own=own))
+        controls = self.controls
+        for handle in (controls.preset, *controls.design, controls.seed):
+            handle.disabled = own is not None
+        controls.to_pattern.visible = controls.own.visible = own is not None
+        if own is not None:
+            controls.own.content = "  \n".join([f"wearing **{own.name}**", *own.loaded.repairs])
+        self._changed(own=own)
 
     # Work
 
@@ -179,97 +207,128 @@ class Page:
         try:
             action(*arguments)
         except (ValueError, TypeError, OSError, ImportError) as error:
-            self.client.add_notification("That did not work", str(error), color="red", auto_close_seconds=10)
+            self._say(error)
 
-    def _work(self) -> None:
-        while not self._closed:
-            self._news.wait()
-            self._news.clear()
-            if not self._closed:
-                self._guarded(self._update)
+    def _say(self, error: Exception) -> None:
+        self.client.add_notification("That did not work", str(error), color="red", auto_close_seconds=20)
 
-    def _update(self) -> None:
-        start = time.perf_counter()
-        wish = self.wish
+    def _work_on_look(self, wish: Any) -> None:
         if self.look is None or self.look.wish != wish:
-            self.look = self.wardrobe.look(wish)
-        look = self.look
-        with self.client.atomic():
-            self._show("body", look.body, SKIN, None, visible=self.with_body.value)
-            layer = self.layer.value
-            colors = map_colors(look, self.map.value) if self.map.value != "plain" and layer == "drape" else None
-            self._show("garment", look.layers[layer], CLOTH, colors)
-        self._tell(look, time.perf_counter() - start)
+            look = self.wardrobe.look(wish)
+            with self._drawing:
+                self._waited = time.perf_counter() - self._asked_at
+                self._take_look(look)
+            self._finishes.give(look)
+
+    def _work_on_finish(self, look: Look) -> None:
+        finished = self.wardrobe.finish(look)
+        with self._drawing:
+            if self.look is look:
+                self._take_look(finished)
+
+    def _take_look(self, look: Look) -> None:
+        self.look = look
+        layers = tuple(name for name in LAYERS if name in look.layers)
+        if self.controls.layer.options != layers:
+            self.controls.layer.options = layers
+        self._draw()
+        self._tell(look)
+
+    def _draw(self) -> None:
+        look, controls = self.look, self.controls
+        if look is None:
+            return
+        with self._drawing, self.client.atomic():
+            layer = controls.layer.value if controls.layer.value in look.layers else LAYERS[0]
+            colors = None
+            if self._map is not None and layer == "drape" and look.fit is not None:
+                colors = map_colors(look.fit, self._map)
+            self._floor.position = (0.0, float(look.body.vertices[:, 1].min()), 0.0)
+            self._show("body", look.body, SKIN, None, visible=controls.with_body.value and layer != "panels")
+            self._show("garment", look.layers[layer], CLOTH, colors, wireframe=controls.wireframe.value)
+            controls.legend.visible = self._map is not None and layer == "drape"
+            if self._map is not None:
+                controls.legend.content = legend(self._map)
 
     def _show(
-        self, name: str, surface: Surface, material: Material, colors: np.ndarray | None, *, visible: bool = True
+        self,
+        name: str,
+        surface: Surface,
+        material: Material,
+        colors: np.ndarray | None,
+        *,
+        visible: bool = True,
+        wireframe: bool = False,
+        position: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
-        wire = self.wireframe.value and name == "garment"
-        kind = ("colors" if colors is not None else "plain", wire, len(surface.vertices))
-        known = self._shown.get(name)
+        kind = (colors is not None, wireframe)
         scene = self.client.scene
-        if colors is not None:
+        known, faces, handle = self._shown.get(name, (None, np.zeros((0, 3), int), None))
+        if colors is not None and not wireframe:
             part = mesh_part(name, surface.vertices, surface.faces, material=material, colors=colors)
             data = through_file(".glb", lambda path: write_glb(path, [part]))
-            self._shown[name] = surface.faces, (kind, scene.add_glb(f"/{name}", data, visible=visible))
-        elif known is not None and known[1][0] == kind and np.array_equal(known[0], surface.faces):
-            handle = known[1][1]
+            handle = scene.add_glb(f"/{name}", data, visible=visible, position=position, receive_shadow=False)
+        elif handle is not None and known == kind and np.array_equal(faces, surface.faces):
             handle.vertices = np.asarray(surface.vertices, np.float32)
             handle.visible = visible
         else:
             handle = scene.add_mesh_simple(
                 f"/{name}",
-                surface.vertices,
+                np.asarray(surface.vertices, np.float32),
                 surface.faces,
                 color=material.color,
-                wireframe=wire,
+                wireframe=wireframe,
                 side="double" if material.double_sided else "front",
                 visible=visible,
+                position=position,
+                # Thin cloth would be striped by its own shadow: only the floor shows any.
+                receive_shadow=False,
             )
-            self._shown[name] = surface.faces, (kind, handle)
+        self._shown[name] = kind, surface.faces, handle
 
-    def _tell(self, look: Look, total: float) -> None:
-        stages = "  \n".join(f"{name}: {1000 * seconds:.0f} ms" for name, seconds in look.seconds.items())
-        fit = "  \n".join(look.fit.lines())
-        scale = MAPS.get(self.map.value)
-        legend = "" if scale is None else f"\n\ncolour: {scale.label}, {scale.low:g} to {scale.high:g}"
-        for name, slider in self.tapes.items():
+    def _tell(self, look: Look) -> None:
+        controls = self.controls
+        for name, slider in controls.tapes.items():
             if name not in self._asked:
                 slider.value = round(200 * look.measured[name]) / 2
-        self.report.content = f"{fit}{legend}\n\n{stages}  \nall: {1000 * total:.0f} ms"
-        self.command.value = command_line(look.wish, self.wardrobe.space)
+        lines = ["measuring …"] if look.fit is None else look.fit.lines()
+        if look.pushed is not None:
+            before = 100 * look.pushed.inside_before
+            lines.append(f"pushed out: {before:.1f} % of the cloth had been inside")
+        controls.report.content = "  \n".join(lines)
+        times = [f"{name}: {1000 * seconds:.0f} ms" for name, seconds in look.seconds.items()]
+        controls.times.content = "  \n".join([*times, f"**slider to drape: {1000 * self._waited:.0f} ms**"])
+        controls.command.value = command_line(look.wish, self.wardrobe.space, self.source)
 
     def _download(self, name: str, make: Callable[[Look], bytes]) -> None:
         if self.look is not None:
-            self.client.send_file_download(name, make(self.look), save_immediately=True)
+            data = make(self.wardrobe.finish(self.look))
+            self.client.send_file_download(name, data, save_immediately=True)
 
     # Simulation
 
     def _start_simulation(self) -> None:
         if self.look is None or (self._simulation is not None and self._simulation.running):
             return
-        self.simulate.disabled = True
-        self.cancel.visible = self.progress.visible = True
-        self.outcome.content = "dressing the mean body …"
-        self._simulation = Simulation(self.wardrobe.model.body, self.look, self._simulation_step, self._simulation_end)
+        self.controls.simulate.disabled = True
+        self.controls.cancel.visible = self.controls.progress.visible = True
+        self.controls.progress.value = 0.0
+        self.controls.outcome.content = "dressing the mean body …"
+        self._simulation = Simulation(self.wardrobe.body, self.look, self._simulation_step, self._simulation_end)
 
     def _cancel_simulation(self) -> None:
         if self._simulation is not None:
             self._simulation.cancel()
-            self.outcome.content = "stopping …"
+            self.controls.outcome.content = "stopping …"
 
     def _simulation_step(self, share: float, surface: Surface) -> None:
-        self.progress.value = 100 * share
-        self.client.scene.add_mesh_simple(
-            "/simulation",
-            surface.vertices,
-            surface.faces,
-            color=(176, 112, 88),
-            side="double",
-            position=(_BESIDE, 0.0, 0.0),
-        )
+        self.controls.progress.value = 100 * share
+        with self._drawing:
+            self._show("simulation", surface, _SIMULATED, None, position=(_BESIDE, 0.0, 0.0))
+            if self.look is not None:
+                self._show("simulated body", self.look.body, SKIN, None, position=(_BESIDE, 0.0, 0.0))
 
     def _simulation_end(self, words: str) -> None:
-        self.outcome.content = words
-        self.simulate.disabled = False
-        self.cancel.visible = self.progress.visible = False
+        self.controls.outcome.content = words
+        self.controls.simulate.disabled = False
+        self.controls.cancel.visible = self.controls.progress.visible = False

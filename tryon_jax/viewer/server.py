@@ -4,21 +4,40 @@ import numpy as np
 import viser
 
 from tryon_jax.tryon import TryOnModel
+from tryon_jax.types import Body
 from tryon_jax.viewer.page import Page
-from tryon_jax.viewer.wardrobe import Wardrobe
+from tryon_jax.viewer.wardrobe import OwnMesh, Wardrobe, Wish
 
 
-def serve(model: TryOnModel, *, host: str = "127.0.0.1", port: int = 8080) -> viser.ViserServer:
+def serve(
+    model: TryOnModel,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    own: OwnMesh | None = None,
+    own_body: Body | None = None,
+    source: tuple[str, ...] = (),
+) -> viser.ViserServer:
     """Start the try-on in a browser and return the server, which runs in threads of its own until `stop()`.
 
     Args:
         model: drapes what is asked for.
         host: address to listen on; everybody who reaches it can use the page.
         port: where to listen; the next free one is taken when it is in use.
+        own: a garment's mesh that pages begin with, in place of a design.
+        own_body: a body to dress in place of the networks' one, see `tryon_jax.other_body`.
+        source: options that model and body were named by, for the command line that the page shows.
+
+    Raises:
+        ValueError: `own` is not on the mean body, or `own_body` cannot be dressed.
     """
-    wardrobe = Wardrobe(model)
+    wardrobe = Wardrobe(model, own_body)
+    start = wardrobe.start()
     # Compiles everything before the first visitor waits for it.
-    wardrobe.look(wardrobe.start())
+    wardrobe.finish(wardrobe.look(start))
+    wardrobe.body_of({"stature": wardrobe.look(start).measured["stature"]})
+    if own is not None:
+        wardrobe.look(Wish(start.design, start.betas, start.fabric, own=own))
     server = viser.ViserServer(host=host, port=port, verbose=False)
     server.gui.configure_theme(control_width="large", show_logo=False)
     server.gui.main_panel.dock_right()
@@ -30,7 +49,7 @@ def serve(model: TryOnModel, *, host: str = "127.0.0.1", port: int = 8080) -> vi
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        pages[client.client_id] = Page(client, wardrobe)
+        pages[client.client_id] = Page(client, wardrobe, own=own, source=source)
 
     @server.on_client_disconnect
     def _(client: viser.ClientHandle) -> None:

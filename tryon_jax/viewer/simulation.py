@@ -6,16 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tryon_jax.garment import placement
 from tryon_jax.physics.cloth import build_cloth
-from tryon_jax.physics.dressing import Equilibrium, Obstacle, dress, follow
+from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.types import Body
 from tryon_jax.viewer.wardrobe import Look, Surface
 
-STEPS = 6
+SHAPES = 6
 """Body shapes on the straight way from the mean body to the one that is asked for."""
+PIECE = 20
+"""Steps between two looks at the progress; cancelling takes effect there."""
+_DRESSING = 20
+_SHAPE = 6
 
 
 class Simulation:
@@ -42,7 +45,7 @@ class Simulation:
         return self._thread.is_alive()
 
     def cancel(self) -> None:
-        """Stop after the body shape that is being computed."""
+        """Stop after the steps that are being computed."""
         self._cancelled.set()
 
     def join(self, seconds: float | None = None) -> None:
@@ -51,25 +54,41 @@ class Simulation:
 
     def _run(self) -> None:
         try:
-            self._on_end(self._simulate())
-        except (ValueError, FloatingPointError) as error:
-            self._on_end(f"the simulation failed: {error}")
+            words = self._simulate()
+        except Exception as error:  # Said in the page, whatever it was.
+            words = f"the simulation failed: {error}"
+        self._on_end(words)
 
     def _simulate(self) -> str:
         start = time.perf_counter()
-        mesh, wish = self._look.mesh, self._look.wish
+        cloth_shown, wish = self._look.cloth, self._look.wish
+        first = cloth_shown.start()
         fabric = load_fabric(wish.fabric)
-        cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
-        settings, equilibrium = SolverSettings(), Equilibrium()
+        cloth = build_cloth(cloth_shown.faces, cloth_shown.uv, cloth_shown.faces_uv, len(first))
+        settings, goal, piece = SolverSettings(), Equilibrium(), Equilibrium(max_steps=PIECE)
         obstacle = Obstacle(self._body)
         target = np.asarray(wish.betas, float)
-        drape = dress(placement(mesh), cloth, fabric, obstacle, settings, equilibrium, [0.0] * len(target))
-        for step in range(1, STEPS + 1):
-            self._on_step(step / (STEPS + 1), Surface(drape.vertices, mesh.faces))
-            if self._cancelled.is_set():
-                return "cancelled"
-            drape = follow(drape, target * step / STEPS, cloth, fabric, obstacle, settings, equilibrium)
-        self._on_step(1.0, Surface(drape.vertices, mesh.faces))
-        apart = np.linalg.norm(drape.vertices - self._look.layers["drape"].vertices, axis=1)
+        total = _DRESSING + _SHAPE * SHAPES
+        drape = dress(first, cloth, fabric, obstacle, settings, goal, np.zeros_like(target).tolist(), PIECE)
+        # The mean body first, then one shape after another; each in pieces, until it is at rest or its time is up.
+        for shape in range(SHAPES + 1):
+            pieces = _SHAPE if shape else _DRESSING
+            before = _DRESSING + _SHAPE * (shape - 1) if shape else 0
+            for number in range(pieces):
+                if self._cancelled.is_set():
+                    return "cancelled"
+                self._tell(drape, (before + number) / total)
+                if (shape and number == 0) or not drape.converged(goal):
+                    drape = follow(drape, target * shape / SHAPES, cloth, fabric, obstacle, settings, piece)
+                if drape.converged(goal):
+                    break
+            if not target.any():
+                break
+        self._tell(drape, 1.0)
+        learned = self._look.layers["fine stage"].vertices
+        apart = np.linalg.norm(drape.vertices - learned, axis=1)
         seconds = time.perf_counter() - start
         return f"simulated in {seconds:.1f} s; the learned drape is {1000 * apart.mean():.1f} mm away on average"
+
+    def _tell(self, drape: Drape, share: float) -> None:
+        self._on_step(share, Surface(drape.vertices, self._look.cloth.faces))
