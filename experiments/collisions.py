@@ -1,6 +1,6 @@
 """Vertices inside the body before and after the self-supervised collision step, and after the push-out."""
 
-import importlib.util
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import Pipeline, case_names, held_out_rows, load_all, open_model
+from experiments._evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
 from experiments._record import RESULTS, describe_dataset, describe_model, write_result
 from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.metrics import Skin, vertex_distances
 from tryon_jax.nets.store import read_record
+from tryon_jax.pushout import push_out
 from tryon_jax.training.dataset import default_root, read_config
+from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
+from tryon_jax.tryon import TryOnModel
 
 PAPER_CHANGE = {"training": -70.0, "held_out": -20.0}
 """Change of the vertices inside, percent, that the paper reports."""
@@ -28,6 +32,8 @@ class Config:
     """Folder of the simulated dataset."""
     run: Path = Path("runs/small")
     """Folder of the run."""
+    before: Path | None = None
+    """Model file from before the collision step, to be measured beside the run's."""
     out: Path = RESULTS
     """Folder for the record."""
     shapes: int = 4
@@ -48,34 +54,13 @@ def main(config: Config) -> None:
     cases = case_names(config.data, load_manifest(), config.garments)
     names = [name for group in cases.values() for name in group]
     garments = load_all(model, config.data, names)
-    pipeline, skin = Pipeline(model), Skin(model.body)
-    measured: dict[str, Any] = {}
-    for case, group in cases.items():
-        found: list[tuple[float, ...]] = []
-        for name in tqdm(group, desc=case, mininterval=2):
-            samples = garments[name]
-            rows = held_out_rows(samples, fabrics, config.shapes)
-            count, faces = samples.garment.num_vertices, samples.garment.faces
-            for fabric, predicted in pipeline(samples, rows, fabrics).items():
-                for k, row in enumerate(rows):
-                    body = skin.at(samples.betas[row])
-                    simulated = samples.drapes[fabric][row, :count]
-                    here = body.penetration(predicted.fine[k], faces)
-                    there = body.penetration(simulated, faces)
-                    error = 1e3 * float(vertex_distances(predicted.fine[k], simulated).mean())
-                    found.append((here.vertices, here.surface, here.depth, there.vertices, error))
-        if found:
-            table = np.array(found)
-            measured[case] = {
-                "samples": len(found),
-                "vertices_percent": 100 * table[:, 0].mean(),
-                "surface_percent": 100 * table[:, 1].mean(),
-                "mean_deepest_mm": 1e3 * table[:, 2].mean(),
-                "deepest_mm": 1e3 * table[:, 2].max(),
-                "simulation_vertices_percent": 100 * table[:, 3].mean(),
-                "error_mm": table[:, 4].mean(),
-            }
-    results = {"collision_step": steps, "measured": measured, "push_out": has_push_out()}
+    results = {
+        "collision_step": steps,
+        "measured": measure(model, garments, cases, fabrics, config.shapes, pushed=True),
+    }
+    if config.before is not None:
+        before = open_model(config.before, config.untrained, fabrics)
+        results["measured_before"] = measure(before, garments, cases, fabrics, config.shapes)
     path = write_result(
         config.out,
         "collisions",
@@ -89,9 +74,57 @@ def main(config: Config) -> None:
     print(f"wrote {path}")
 
 
-def has_push_out() -> bool:
-    """Whether this version of the library has the push-out."""
-    return importlib.util.find_spec("tryon_jax.pushout") is not None
+def measure(
+    model: TryOnModel,
+    garments: Mapping[str, SimulatedGarment],
+    cases: Mapping[str, Sequence[str]],
+    fabrics: Sequence[str],
+    shapes: int,
+    pushed: bool = False,
+) -> dict[str, Any]:
+    """Penetration by signed distance and error over test shapes of each case; `pushed`: after the push-out as well."""
+    pipeline, skin = Pipeline(model), Skin(model.body)
+    measured: dict[str, Any] = {}
+    for case, group in cases.items():
+        found: list[tuple[float, ...]] = []
+        out: list[tuple[float, ...]] = []
+        for name in tqdm(group, desc=case, mininterval=2):
+            samples = garments[name]
+            rows = held_out_rows(samples, fabrics, shapes)
+            count, faces = samples.garment.num_vertices, samples.garment.faces
+            shaped = body_vertices(model, samples.betas[rows])
+            for fabric, predicted in pipeline(samples, rows, fabrics).items():
+                for k, row in enumerate(rows):
+                    body = skin.at(samples.betas[row])
+                    simulated = samples.drapes[fabric][row, :count]
+                    here = body.penetration(predicted.fine[k], faces)
+                    there = body.penetration(simulated, faces)
+                    error = 1e3 * float(vertex_distances(predicted.fine[k], simulated).mean())
+                    found.append((here.vertices, here.surface, here.depth, there.vertices, error))
+                    if pushed:
+                        surface = ClosedSurface(shaped[k], np.asarray(model.body.faces))
+                        moved = push_out(predicted.fine[k], faces, surface)
+                        after = 1e3 * float(vertex_distances(moved.vertices, simulated).mean())
+                        out.append((moved.inside, moved.largest_move, after))
+        if found:
+            table = np.array(found)
+            measured[case] = {
+                "samples": len(found),
+                "vertices_percent": 100 * table[:, 0].mean(),
+                "surface_percent": 100 * table[:, 1].mean(),
+                "mean_deepest_mm": 1e3 * table[:, 2].mean(),
+                "deepest_mm": 1e3 * table[:, 2].max(),
+                "simulation_vertices_percent": 100 * table[:, 3].mean(),
+                "error_mm": table[:, 4].mean(),
+            }
+        if out:
+            table = np.array(out)
+            measured[case] |= {
+                "pushed_out_inside_percent": 100 * table[:, 0].max(),
+                "pushed_out_largest_move_mm": 1e3 * table[:, 1].mean(),
+                "pushed_out_error_mm": table[:, 2].mean(),
+            }
+    return measured
 
 
 def markdown(results: dict[str, Any]) -> list[str]:
@@ -111,15 +144,33 @@ def markdown(results: dict[str, Any]) -> list[str]:
         lines.append("")
     else:
         lines += ["The collision step has not been run on these weights: not measured.", ""]
-    state = "after" if results["collision_step"] else "before"
     lines += [
-        f"| weights {state} the collision step, test shapes | vertices inside, % | surface inside, % | "
-        "deepest, mm (mean · worst) | simulation, vertices inside, % |",
-        "|---|---|---|---|---|",
+        "| test shapes | vertices inside, % | surface inside, % | deepest, mm (mean · worst) | "
+        "simulation, vertices inside, % | error, mm |",
+        "|---|---|---|---|---|---|",
     ]
-    for case, row in results["measured"].items():
-        lines.append(
-            f"| {case} ({row['samples']} drapes) | {row['vertices_percent']:.2f} | {row['surface_percent']:.2f} | "
-            f"{row['mean_deepest_mm']:.1f} · {row['deepest_mm']:.1f} | {row['simulation_vertices_percent']:.2f} |"
-        )
+    state = "after" if results["collision_step"] else "before"
+    for when, table in (("before", results.get("measured_before", {})), (state, results["measured"])):
+        for case, row in table.items():
+            lines.append(
+                f"| {case} ({row['samples']} drapes), {when} the collision step | {row['vertices_percent']:.2f} | "
+                f"{row['surface_percent']:.2f} | {row['mean_deepest_mm']:.1f} · {row['deepest_mm']:.1f} | "
+                f"{row['simulation_vertices_percent']:.2f} | {row['error_mm']:.2f} |"
+            )
+    lines += ["", *_pushed_out(results["measured"])]
     return lines
+
+
+def _pushed_out(measured: Mapping[str, Any]) -> list[str]:
+    rows = {case: row for case, row in measured.items() if "pushed_out_error_mm" in row}
+    if not rows:
+        return []
+    lines = [
+        "| after the push-out | samples inside in the worst drape, % | largest move, mean, mm | error, mm |",
+        "|---|---|---|---|",
+    ]
+    return lines + [
+        f"| {case} | {row['pushed_out_inside_percent']:.3f} | {row['pushed_out_largest_move_mm']:.1f} | "
+        f"{row['pushed_out_error_mm']:.2f} |"
+        for case, row in rows.items()
+    ]

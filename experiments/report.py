@@ -56,6 +56,11 @@ SECTIONS = {
         "Ablation",
         "What the paper's parts and this library's choices are worth. The paper has no such table.",
     ),
+    "sweep": (
+        "Choice of network and optimiser",
+        "The paper does not give them. Short trainings of R_smooth that see equally many samples, judged on validation "
+        "shapes and designs alone.",
+    ),
     "speed": (
         "Speed",
         "Claim of the paper: interactive rates. Here beside the simulator that made the data and beside what one "
