@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from jax.test_util import check_grads
 
-from tryon_jax.body import load_body
+from tryon_jax.body import load_body, shape_body
 from tryon_jax.garment import build_template, load_design_space, placement, remesh
 from tryon_jax.graph.resample import split_long_edges
+from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.nets import TryOnConfig, UNetConfig, apply_mean_drape
 from tryon_jax.tryon import (
     DrapeStages,
+    body_contact,
     carry,
     drape,
     drape_stages,
@@ -22,6 +24,7 @@ from tryon_jax.tryon import (
     load_model,
     mean_drape,
     prepare,
+    report_penetration,
     save_model,
     stack_garments,
 )
@@ -39,6 +42,7 @@ TINY = TryOnConfig(
 # Compiled once for each shape: op by op, JAX compiles every operation by itself, which takes far longer.
 draped = jax.jit(drape, static_argnames="fabric")
 draped_stages = jax.jit(drape_stages, static_argnames="fabric")
+measured = jax.jit(report_penetration)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +61,13 @@ def garment(model):
 
 def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
     betas = jnp.array([[0.5, -1.0], [0.0, 0.0], [2.0, 1.0]])
-    stages = draped_stages(model, garment, betas, fabric="gray-interlock")
+    stages = draped_stages(model, garment, betas, fabric="gray-interlock", contact=body_contact(model.body))
     assert isinstance(stages, DrapeStages)
+    np.testing.assert_allclose(
+        stages.penetration.distance,
+        measured(body_contact(model.body), model.body, garment, stages.fine, betas).distance,
+        atol=1e-6,
+    )
     assert stages.fine.shape == stages.smooth.shape == (3, garment.graph.num_nodes, 3)
     np.testing.assert_array_equal(stages.mean, garment.graph.vertices)
     real = garment.num_vertices
@@ -69,6 +78,27 @@ def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
     np.testing.assert_allclose(draped(model, garment, betas[2]), stages.fine[2], atol=1e-6)
     # Zero betas alone do not decide; neither do betas not matter.
     assert np.abs(stages.fine[0] - stages.fine[2]).max() > 1e-6
+
+
+def test_penetration_report_against_exact_distances(model, garment):
+    betas = jnp.array([[0.5, -1.0], [0.0, 0.0], [2.0, 1.0]])
+    vertices = jnp.broadcast_to(jnp.asarray(garment.graph.vertices), (3, garment.graph.num_nodes, 3))
+    report, real = measured(body_contact(model.body), model.body, garment, vertices, betas), garment.num_vertices
+    assert report.distance.shape == (3, garment.graph.num_nodes)
+    assert not np.asarray(report.distance[:, real:]).any()
+    for k, shape in enumerate(betas):
+        distance = np.asarray(report.distance[k, :real])
+        skin = ClosedSurface(np.asarray(shape_body(model.body, shape)[0]), np.asarray(model.body.faces))
+        exact = skin.closest(garment.mean_vertices.astype(float))[0]
+        near = np.abs(exact) < 0.02
+        assert near.sum() > 40
+        assert (np.abs(distance - exact)[near] < 2e-5).mean() > 0.97
+        assert (np.abs(distance) > np.abs(exact) - 2e-5)[near].all()
+        np.testing.assert_array_equal(np.sign(distance[near]), np.sign(exact[near]))
+        assert report.inside[k] == pytest.approx((distance < 0).mean())
+        assert report.inside[k] == pytest.approx((exact < 0).mean(), abs=0.01)
+        assert report.deepest[k] == pytest.approx(-distance.min())
+        assert report.unsettled[k] < 0.02
 
 
 def test_mean_drape_is_w_times_r_mean(model, garment):

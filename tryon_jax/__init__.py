@@ -14,6 +14,7 @@ from tryon_jax.garment import load_design_space, remesh
 from tryon_jax.tryon import (
     Garment,
     TryOnModel,
+    body_contact,
     drape,
     drape_stages,
     init_model,
@@ -31,6 +32,7 @@ __all__ = [
     "Garment",
     "TryOnModel",
     "betas_from_measurements",
+    "body_contact",
     "drape",
     "drape_stages",
     "face_normals",

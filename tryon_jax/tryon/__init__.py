@@ -10,6 +10,7 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
+from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
 from tryon_jax.tryon.preparation import prepare, prepare_mesh
 from tryon_jax.tryon.stages import (
     DrapeStages,
@@ -24,13 +25,16 @@ from tryon_jax.tryon.stages import (
 )
 
 __all__ = [
+    "BodyContact",
     "DrapeStages",
     "Garment",
     "OwnMesh",
+    "PenetrationReport",
     "Stage",
     "TryOnModel",
     "apply_stage",
     "base_and_detail",
+    "body_contact",
     "carry",
     "config_space",
     "drape",
@@ -43,6 +47,7 @@ __all__ = [
     "model_parameters",
     "prepare",
     "prepare_mesh",
+    "report_penetration",
     "save_model",
     "smooth_features",
     "stack_garments",

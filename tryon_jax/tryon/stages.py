@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -13,6 +14,7 @@ from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.nets.unet import apply_unet
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import Stage, TryOnModel
+from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.types import ArrayLike, pytree
 
 
@@ -26,6 +28,8 @@ class DrapeStages:
     """M_smooth."""
     fine: Float[Array, "*batch N 3"]
     """M_fine, the result."""
+    penetration: PenetrationReport | None = None
+    """Of M_fine, where it was asked for."""
 
 
 def drape(
@@ -60,8 +64,12 @@ def drape_stages(
     betas: Float[ArrayLike, "*batch b"],
     fabric: str = "gray-interlock",
     design: Float[ArrayLike, " P"] | None = None,
+    contact: BodyContact | None = None,
 ) -> DrapeStages:
-    """`drape` with its intermediate results; arguments as there."""
+    """`drape` with its intermediate results; arguments as there.
+
+    With `contact`, made once by `body_contact(model.body)`, the result also says where M_fine is inside the body.
+    """
     config = model.config
     check_choice("fabric", fabric, model.fine)
     betas = jnp.asarray(betas)
@@ -83,7 +91,13 @@ def drape_stages(
         moved = jnp.moveaxis(x, 0, 1).reshape(*betas.shape[:-1], *vertices.shape)
         return carry(garment, moved, vertices)
 
-    return DrapeStages(carry(garment, vertices, vertices), finish(smooth_vertices), finish(fine_vertices))
+    fine = finish(fine_vertices)
+    report = None
+    if contact is not None:
+        rows = fine.reshape(-1, *fine.shape[-2:])
+        report = report_penetration(contact, model.body, garment, rows, flat)
+        report = jax.tree.map(lambda x: x.reshape(*betas.shape[:-1], *x.shape[1:]), report)
+    return DrapeStages(carry(garment, vertices, vertices), finish(smooth_vertices), fine, report)
 
 
 def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
