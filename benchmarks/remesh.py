@@ -100,6 +100,48 @@ def optimal_delaunay(outline: np.ndarray, count: int, rng: np.random.Generator) 
     return points, faces
 
 
+LONGEST = 1.49
+"""Edges longer than this many spacings are split: mean areas then come out near the target."""
+SHORTEST = 0.55
+"""Edges shorter than this many spacings are collapsed."""
+
+
+def local_operations(outline: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Split long edges, flip, collapse short ones, until none is left (Narain, Samii and O'Brien 2012, flat cloth).
+
+    Flips are taken to their end at once, which is the Delaunay triangulation. Nothing fixes the number of triangles:
+    `count` only sets the lengths. Seeds differ by where splits fall, up to a tenth of the edge off its middle.
+    """
+    fixed = len(outline)
+    spacing = edge_length(polygon_area(outline) / max(fixed + 2 * count - 2, 1))
+    points = outline.copy()
+    for _ in range(40):
+        faces = delaunay_inside(points, fixed)
+        edges, uses = unique_edges(faces, len(points))
+        edges = edges[uses == 2]
+        length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+        split = _undisturbed(edges, np.where(length > LONGEST * spacing, length, 0.0), len(points))
+        if split.any():
+            along = 0.5 + 0.1 * rng.uniform(-1, 1, (split.sum(), 1))
+            middles = along * points[edges[split, 0]] + (1 - along) * points[edges[split, 1]]
+            points = np.concatenate([points, middles])
+            continue
+        short = (length < SHORTEST * spacing) & (edges[:, 1] >= fixed)
+        gone = edges[_undisturbed(edges, np.where(short, 1.0 / length, 0.0), len(points)), 1]
+        if not len(gone):
+            break
+        points = np.delete(points, gone, axis=0)
+    return points, delaunay_inside(points, fixed)
+
+
+def _undisturbed(edges: np.ndarray, urgency: np.ndarray, count: int) -> np.ndarray:
+    """Edges of positive urgency that are the most urgent ones at both of their ends."""
+    most = np.zeros(count)
+    for k in range(2):
+        np.maximum.at(most, edges[:, k], urgency)
+    return (urgency > 0) & (urgency == most[edges[:, 0]]) & (urgency == most[edges[:, 1]])
+
+
 METHODS: dict[str, Triangulate] = {
     "forces": triangulate,
     "forces, 20 steps": partial(triangulate, iterations=20),
@@ -107,6 +149,7 @@ METHODS: dict[str, Triangulate] = {
     "forces from a lattice": partial(triangulate, jitter=0.0),
     "forces from darts": forces_from_darts,
     "optimal Delaunay, 12 steps": optimal_delaunay,
+    "local operations": local_operations,
 }
 """What is compared; the first is what `remesh` uses."""
 
