@@ -201,7 +201,7 @@ def main(config: Config) -> None:
     for line in markdown(results):
         print(line)
     items = picture(model, pipeline, single, garments, config)
-    contact_sheet(config.out / "single_garment.jpg", items, columns=3, height=330)
+    contact_sheet(config.out / "single_garment.jpg", items, columns=3, crop="garment", height=330)
     print(f"wrote {path} and {config.out / 'single_garment.jpg'}")
 
 
