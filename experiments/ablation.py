@@ -140,7 +140,10 @@ def main(config: Config) -> None:
             }
             for name, record in records.items()
         },
-        "baselines": measure_baselines(config, start, measured, manifest, names),
+        # The kNN knows the designs that the base variant is trained on.
+        "baselines": measure_baselines(
+            config, start, measured, manifest, variant_garments(VARIANTS["base"], names, manifest)
+        ),
     }
     described = describe_dataset(config.data, sorted(garments))
     path = write_result(config.out, "ablation", config, results, dataset=described)
