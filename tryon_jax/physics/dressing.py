@@ -30,6 +30,10 @@ _move_surface = jax.jit(move_surface)
 _sample_points = jax.jit(sample_points)
 
 
+class Diverged(ValueError):
+    """The simulation left the numbers: a broken mesh, or a body that the garment cannot be put on."""
+
+
 @dataclass(frozen=True)
 class Equilibrium:
     """When a drape counts as at rest."""
@@ -107,19 +111,14 @@ def dress(
         self_contact: keeps the cloth from passing through itself; None leaves it out (see `physics.self_contact`).
 
     Raises:
-        ValueError: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
+        Diverged: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
     """
-    count, padded = len(start), cloth.vertex_areas.shape[0]
-    x = np.full((padded, 3), FAR_AWAY, np.float32)
-    x[:count] = start
     shape = np.asarray(betas, float)
     surface = obstacle.surface(shape)
-    x = jnp.asarray(x)
-    state = ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), _faces(surface, x, cloth))
-    weightless = replace(settings, gravity=0.0, retention=0.0)
-    drape = _settle(Drape(state, shape, surface, _no_report(), count), cloth, fabric, weightless, 1e-3, 20, 10, None)
-    still = replace(drape.state, velocity=jnp.zeros_like(x), slip=jnp.zeros_like(x))
-    drape = replace(drape, state=still)
+    drape = Drape(start_state(start, cloth, surface), shape, surface, _no_report(), len(start))
+    drape = _settle(drape, cloth, fabric, weightless(settings), 1e-3, 20, 10, None)
+    zero = jnp.zeros_like(drape.state.x)
+    drape = replace(drape, state=replace(drape.state, velocity=zero, slip=zero))
     refresh, goal = equilibrium.refresh, equilibrium.tolerance
     return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
 
@@ -137,7 +136,7 @@ def follow(
     """Carry a drape to another body shape nearby and let it come to rest.
 
     Raises:
-        ValueError: the simulation left the numbers.
+        Diverged: the simulation left the numbers.
     """
     surface = obstacle.surface(np.asarray(betas, float))
     motion = jnp.asarray(surface.vertices) - jnp.asarray(drape.surface.vertices)
@@ -160,6 +159,19 @@ def sweep(
     for betas in ray:
         drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium, self_contact)
         yield drape
+
+
+def start_state(start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface) -> ClothState:
+    """A cloth at rest at `start` (metres, without padding), its padding far away."""
+    x = np.full((cloth.vertex_areas.shape[0], 3), FAR_AWAY, np.float32)
+    x[: len(start)] = start
+    x = jnp.asarray(x)
+    return ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), _faces(surface, x, cloth))
+
+
+def weightless(settings: SolverSettings) -> SolverSettings:
+    """Settings of the first steps of dressing, in which seams close and the cloth leaves the body."""
+    return replace(settings, gravity=0.0, retention=0.0)
 
 
 def _faces(surface: Surface, x: jnp.ndarray, cloth: Cloth) -> jnp.ndarray:
@@ -216,6 +228,6 @@ def _settle(
         # The linear solver stands still on NaN: positions may stay finite where forces are not.
         if not (np.isfinite(np.asarray(state.x)).all() and np.isfinite(float(report.residual))):
             where = f"fabric {fabric.name!r}, {drape.num_vertices} vertices, betas {drape.betas.tolist()}"
-            raise ValueError(f"the drape diverged after {steps} steps: {where}")
+            raise Diverged(f"the drape diverged after {steps} steps: {where}")
     total = replace(report, steps=jnp.asarray(steps), iterations=jnp.asarray(iterations))
     return replace(drape, state=state, report=total)

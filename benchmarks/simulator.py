@@ -1,0 +1,171 @@
+"""What a simulated drape costs: seconds per body shape, and per simulated second beside ARCSim at equal mesh.
+
+python -m benchmarks simulator
+python -m benchmarks simulator --batch 64     (on a GPU: many rays side by side)
+"""
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from benchmarks.record import table, write_record
+from experiments._mechanics import lathe, plate, sample_fabric, settle, strip
+from tryon_jax.body import load_body
+from tryon_jax.garment import placement, remesh
+from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.physics.batch import sweep_many
+from tryon_jax.physics.cloth import Cloth, build_cloth
+from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, sweep
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.training.protocol import make_protocol
+
+Result = TypeVar("Result")
+REFERENCE_MS = {
+    ("sheet", 1521): {"gray-interlock": 35.0, "white-dots-on-blk": 36.0},
+    ("sheet", 3481): {"white-dots-on-blk": 91.0},
+    ("sphere", 1521): {"gray-interlock": 83.5, "white-dots-on-blk": 72.0},
+    ("sphere", 3481): {"white-dots-on-blk": 152.0},
+}
+"""ARCSim 0.2.1, remeshing off, one thread: CPU milliseconds for a step of 5 ms."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Options of `python -m benchmarks simulator`."""
+
+    vertices: tuple[int, ...] = (1500, 3600)
+    """Sizes of the garment, about."""
+    design: str = "tshirt"
+    """Design that is draped."""
+    fabrics: tuple[str, ...] = ("gray-interlock", "white-dots-on-blk")
+    rays: int = 2
+    """Rays of body shapes that are timed, after one that warms up."""
+    batch: int = 0
+    """So many rays side by side instead, as on a GPU; 0: one after the other."""
+    seconds: float = 1.0
+    """Simulated seconds of the reference's scenes."""
+    reference: bool = True
+    """Time the reference's scenes too."""
+    save: bool = True
+    """Keep the result under `benchmarks/results/`."""
+
+
+def clock(call: Callable[[], Result]) -> tuple[float, float, Result]:
+    """Wall-clock and processor seconds of a call, and its result."""
+    wall, processor = time.perf_counter(), time.process_time()
+    result = call()
+    return time.perf_counter() - wall, time.process_time() - processor, result
+
+
+@dataclass(frozen=True, eq=False)
+class Garment:
+    """A garment to be draped in one fabric."""
+
+    start: np.ndarray
+    cloth: Cloth
+    fabric: Fabric
+
+
+class Bench:
+    """The body, the solver's settings and the rays that all rows share."""
+
+    def __init__(self) -> None:
+        self.obstacle, self.settings, self.equilibrium = Obstacle(load_body("female")), SolverSettings(), Equilibrium()
+        self.protocol = make_protocol(2)
+
+    def dress(self, garment: Garment) -> Drape:
+        """A drape on the mean body."""
+        how = self.obstacle, self.settings, self.equilibrium
+        return dress(garment.start, garment.cloth, garment.fabric, *how)
+
+    def rays(self, garment: Garment, first: Drape, numbers: list[int]) -> list[Drape]:
+        """Drapes along rays, one after the other."""
+        how = self.obstacle, self.settings, self.equilibrium
+        rays = [self.protocol.rays[number] for number in numbers]
+        return [drape for ray in rays for drape in sweep(first, ray, garment.cloth, garment.fabric, *how)]
+
+    def side_by_side(self, garment: Garment, first: Drape, numbers: list[int]) -> list[Drape]:
+        """The same in lanes of one mapped solve."""
+        how = self.obstacle, self.settings, self.equilibrium
+        rays, count = np.stack([self.protocol.rays[number] for number in numbers]), len(numbers)
+        lanes = sweep_many([first] * count, rays, [garment.cloth] * count, [garment.fabric] * count, *how)
+        return [drape for shapes in lanes for drape in shapes]
+
+
+def shape_rows(config: Config) -> list[dict[str, Any]]:
+    """Seconds per body shape along the protocol's rays, to equilibrium, without statistics and files."""
+    manifest, bench = load_manifest(), Bench()
+    design, order = manifest.design(config.design), bench.protocol.order
+    # One mesh tells the garment's area.
+    trial = remesh(manifest.space, design, manifest.target_area, seed=0)
+    rows = []
+    for size in config.vertices:
+        mesh = remesh(manifest.space, design, manifest.target_area * trial.num_vertices / size, seed=0)
+        cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
+        for name in config.fabrics:
+            garment = Garment(placement(mesh), cloth, sample_fabric(name))
+            first = bench.dress(garment)
+            row: dict[str, Any] = {"vertices": mesh.num_vertices, "fabric": name}
+            row["dressing, s"] = clock(partial(bench.dress, garment))[0]
+            if config.batch:
+                work = partial(bench.side_by_side, garment, first, [order[k % len(order)] for k in range(config.batch)])
+                work()
+            else:
+                work = partial(bench.rays, garment, first, list(order[1 : config.rays + 1]))
+                bench.rays(garment, first, [order[0]])
+            # What the first calls compiled is not timed.
+            wall, processor, drapes = clock(work)
+            count = len(drapes)
+            row |= {"shapes": count, "s per shape": wall / count, "CPU s per shape": processor / count}
+            row["steps per shape"] = float(np.mean([int(d.report.steps) for d in drapes]))
+            row["at rest, %"] = 100 * float(np.mean([d.converged(bench.equilibrium) for d in drapes]))
+            rows.append(row)
+    return rows
+
+
+def reference_rows(config: Config) -> list[dict[str, Any]]:
+    """CPU seconds for a simulated second on the reference's scenes: its step of 5 ms, and the step that we use."""
+    turn = np.linspace(0, np.pi, 41)
+    ball = lathe(0.3 * np.stack([np.sin(turn), np.cos(turn)], axis=1))
+    rows = []
+    for (scene, vertices), figures in REFERENCE_MS.items():
+        cells = round(vertices**0.5) - 1
+        faces, uv = strip(cells, cells, 1.0, 1.0)
+        cloth = build_cloth(faces, uv, faces, len(uv))
+        for name, milliseconds in figures.items():
+            fabric = sample_fabric(name)
+            height = 2.0 if scene == "sheet" else 0.3 + float(fabric.thickness)
+            points = np.stack([uv[:, 0] - 0.5, np.full(len(uv), height), 0.5 - uv[:, 1]], axis=1)
+            corners = np.array([0, len(uv) - cells - 1]) if scene == "sheet" else None
+            surface = plate() if scene == "sheet" else ball
+            for step in (1 / 200, 1 / 30):
+                settings = SolverSettings(time_step=step, retention=1.0, max_move=0.1)
+                run = partial(settle, faces, uv, points, fabric, surface, settings, pinned=corners, tolerance=0.0)
+                run(most=20, cloth=cloth)
+                _, processor, _ = clock(partial(run, most=round(config.seconds / step), cloth=cloth))
+                spent, theirs = processor / config.seconds, 0.2 * milliseconds
+                row = {"scene": scene, "vertices": len(uv), "fabric": name, "time step, ms": 1e3 * step}
+                row |= {"CPU s per simulated s": spent, "ARCSim, s": theirs, "times faster": theirs / spent}
+                rows.append(row)
+    return rows
+
+
+def main(config: Config) -> None:
+    """Time both and keep the record."""
+    shapes = shape_rows(config)
+    print(table(shapes))
+    scenes = reference_rows(config) if config.reference else []
+    if scenes:
+        print("\n" + table(scenes))
+    note = (
+        "ARCSim 0.2.1 without remeshing, one thread, steps of 5 ms: measured on another day, on a machine of the same "
+    )
+    note += f"kind. Load average at the end of this run: {os.getloadavg()[0]:.1f}."
+    if config.save:
+        print(f"\nwrote {write_record('simulator', config, [*shapes, *scenes], note=note)}")
