@@ -87,3 +87,17 @@ def test_is_linear_and_differentiable(x64):
     tangent = jax.jvp(lambda x: smooth(smoother, x), (x,), (y,))[1]
     assert float((tangent * value).sum()) == pytest.approx(float((pull(value)[0] * y).sum()))
     np.testing.assert_allclose(tangent, smooth(smoother, y), atol=1e-12)
+
+
+def test_maps_over_garments_and_their_gradients(x64):
+    meshes = [disc(60), disc(75)]
+    smoothers = [make_smoother(vertices, faces, 0.05, 80, dtype=np.float64) for vertices, faces in meshes]
+    stacked = jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(leaf) for leaf in leaves]), *smoothers)
+    values = jnp.asarray(np.random.default_rng(1).normal(size=(2, 80, 3)))
+
+    def energy(smoother, x):
+        return (smooth(smoother, x) ** 2).sum()
+
+    together = jax.vmap(jax.grad(energy, argnums=1))(stacked, values)
+    for smoother, x, found in zip(smoothers, values, together, strict=True):
+        np.testing.assert_allclose(found, jax.grad(energy, argnums=1)(smoother, x), atol=1e-12)

@@ -7,6 +7,7 @@ into the garment. The exponential is a Chebyshev polynomial in A with fixed leng
 the host and on the device, linear and therefore differentiable.
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
@@ -110,7 +111,11 @@ def smooth(smoother: HeatSmoother, values: Float[Array, "N *rest"]) -> Float[Arr
     coefficients = jnp.asarray(smoother.coefficients, values.dtype)
     before, now = values, apply_operator(smoother.operator, values)
     total = coefficients[0] * before + coefficients[1] * now
-    for k in range(2, coefficients.shape[0]):
-        before, now = now, 2.0 * apply_operator(smoother.operator, now) - before
-        total = total + coefficients[k] * now
-    return total
+
+    # A loop and not a long row of products: the same numbers, and a quarter of the time to compile.
+    def term(carry: tuple[Array, Array, Array], coefficient: Array) -> tuple[tuple[Array, Array, Array], None]:
+        before, now, total = carry
+        after = 2.0 * apply_operator(smoother.operator, now) - before
+        return (now, after, total + coefficient * after), None
+
+    return jax.lax.scan(term, (before, now, total), coefficients[2:])[0][2]
