@@ -7,6 +7,7 @@ Dask and not Ray: pure Python, a few MB, BSD-3-Clause, on every Python that the 
 SLURM and Kubernetes; Ray's object store and actors would have nothing to do here, since results are files.
 """
 
+import errno
 import hashlib
 import importlib.util
 import multiprocessing
@@ -23,6 +24,8 @@ from tryon_jax.training.generate import end_with_parent
 
 ONE_CORE = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
 """XLA_FLAGS of a worker: the arrays are too small to share a thread pool, two processes are twice as fast."""
+
+NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
 
 @contextmanager
@@ -77,6 +80,9 @@ def run_all(
         function: Of a module that the workers can import; returns a line about what it did.
         tasks: Arguments of each call.
         done: How many tasks were done before, for the bar.
+
+    Raises:
+        OSError: There is no space left: every other task would fail too, so none is begun any more.
     """
     failed = []
     with tqdm(total=done + len(tasks), initial=done, desc=title, unit="file", mininterval=2) as bar:
@@ -87,6 +93,12 @@ def run_all(
             if error is None:
                 bar.set_postfix_str(future.result()[:90])
             else:
+                if isinstance(error, OSError) and error.errno in NO_SPACE:
+                    for future in futures:
+                        future.cancel()
+                    raise OSError(
+                        error.errno, f"the disk is full: free space and run again, what is done stays done ({error})"
+                    )
                 failed.append(f"{task}: {error}")
                 tqdm.write(f"failed: {failed[-1]}")
     return failed

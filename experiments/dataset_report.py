@@ -13,26 +13,11 @@ from benchmarks.record import environment, table
 from tryon_jax.atomic import atomic_path, write_text
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.checks import check_range
+from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.render import SheetItem, contact_sheet
-from tryon_jax.training.dataset import (
-    MAX_DEPTH,
-    MAX_RESIDUAL,
-    MAX_SELF_INTERSECTIONS,
-    MAX_TENSION,
-    STATISTICS,
-    default_root,
-    is_good,
-    load_arrays,
-    mesh_path,
-    read_config,
-)
+from tryon_jax.training.dataset import RULES, STATISTICS, default_root, is_good, load_arrays, mesh_path, read_config
+from tryon_jax.training.samples import Sample, manifest_table, read_samples
 
-RULES = {
-    "residual": MAX_RESIDUAL,
-    "depth": MAX_DEPTH,
-    "self_intersections": MAX_SELF_INTERSECTIONS,
-    "tension": MAX_TENSION,
-}
 LABELS = {
     "residual": "net force / (weight + contact load)",
     "steps": "solver steps",
@@ -50,10 +35,10 @@ FABRIC_COLORS = ((0.29, 0.43, 0.58), (0.72, 0.42, 0.34), (0.40, 0.55, 0.38), (0.
 class Config:
     """What to report on."""
 
-    dataset: Path = field(default_factory=default_root)
+    data: Path = field(default_factory=default_root)
     """Folder of the dataset."""
     out: Path = Path("dataset-report")
-    """Folder for report.md, report.json and the pictures."""
+    """Folder for report.md, report.json, samples.csv and the pictures."""
     pictures: bool = True
     """Draw contact sheets (seconds for each drape)."""
     shapes: int = 4
@@ -64,36 +49,12 @@ class Config:
     """Pixels of each drape."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One drape of the dataset."""
-
-    path: Path
-    row: int | None
-    """Row in a file of rays; None for a drape on the mean body."""
-    design: str
-    garment: str
-    fabric: str
-    betas: tuple[float, ...]
-    test: bool
-    statistics: dict[str, float]
-
-    def broken_rules(self) -> list[str]:
-        """Names of the rules that exclude it, none for a kept one."""
-        return [key for key, limit in RULES.items() if not self.statistics[key] <= limit]
-
-    def vertices(self) -> np.ndarray:
-        """Positions, metres."""
-        vertices = load_arrays(self.path)["vertices"]
-        return vertices if self.row is None else vertices[self.row]
-
-
 def main(config: Config) -> None:
     """Write the report."""
     check_range("shapes", config.shapes, 1, 200)
-    root, out = config.dataset.expanduser(), config.out.expanduser()
+    root, out = config.data.expanduser(), config.out.expanduser()
     dataset = read_config(root)
-    samples = read_samples(root, dataset.num_betas)
+    samples = read_samples(root)
     if not samples:
         raise ValueError(f"the dataset at {str(root)!r} holds no drape yet")
     report: dict[str, Any] = {
@@ -108,34 +69,12 @@ def main(config: Config) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "report.json", json.dumps(report, indent=2) + "\n")
     write_text(out / "report.md", as_markdown(report))
+    write_text(out / "samples.csv", manifest_table(root, samples, load_manifest()))
     print(as_markdown(report))
     plot_histograms(out / "histograms.png", samples, dataset.fabrics)
     plot_kept(out / "kept.png", report["by_design"])
     if config.pictures:
         draw_sheets(config, root, samples, dataset.body, dataset.fabrics)
-
-
-def read_samples(root: Path, num_betas: int) -> list[Sample]:
-    """Every drape of the dataset with its statistics, sorted by file; positions stay on disk."""
-    samples = []
-    for path in sorted((root / "mean").glob("[!.]*.npz")) + sorted((root / "rays").glob("[!.]*.npz")):
-        arrays = load_arrays(path)
-        garment, fabric = path.stem.split("_")[:2]
-        design = garment.rsplit("-", 1)[0]
-        if path.parent.name == "mean":
-            statistics = {key: float(arrays[key]) for key in STATISTICS}
-            samples.append(Sample(path, None, design, garment, fabric, (0.0,) * num_betas, False, statistics))
-            continue
-        # The rule that training applies and the one that is counted here are the same.
-        kept = is_good(arrays)
-        for row, betas in enumerate(arrays["betas"]):
-            statistics = {key: float(arrays[key][row]) for key in STATISTICS}
-            shape = tuple(map(float, betas))
-            sample = Sample(path, row, design, garment, fabric, shape, bool(arrays["test"][row]), statistics)
-            if bool(kept[row]) != (not sample.broken_rules()):
-                raise ValueError(f"{path.name} row {row}: rules disagree")
-            samples.append(sample)
-    return samples
 
 
 def count_rules(samples: list[Sample]) -> list[dict[str, Any]]:
@@ -160,6 +99,10 @@ def percentiles(samples: list[Sample]) -> list[dict[str, Any]]:
             group = [s for s in samples if s.fabric == fabric and (not kept or not s.broken_rules())]
             for key in STATISTICS:
                 values = np.array([s.statistics[key] for s in group]) * SCALES.get(key, 1.0)
+                # Shapes whose simulation was lost have no finite statistics; the table of rules counts them.
+                values = values[np.isfinite(values)]
+                if not len(values):
+                    continue
                 low, middle, high, top = (float(v) for v in np.percentile(values, [5, 50, 95, 100]))
                 of = "kept" if kept else "all"
                 row = {"fabric": fabric, "of": of, "statistic": LABELS[key], "5 %": low, "50 %": middle}
@@ -211,7 +154,10 @@ def plot_histograms(path: Path, samples: list[Sample], fabrics: tuple[str, ...])
     figure, axes = plt.subplots(2, 4, figsize=(16, 7), constrained_layout=True)
     for axis, key in zip(axes.flat, STATISTICS, strict=False):
         scale = SCALES.get(key, 1.0)
-        groups = [[scale * s.statistics[key] for s in samples if s.fabric == fabric] for fabric in fabrics]
+        groups = [
+            [v for s in samples if s.fabric == fabric and np.isfinite(v := scale * s.statistics[key])]
+            for fabric in fabrics
+        ]
         top = max(np.percentile(group, 99.5) for group in groups if group)
         low = min(min(group) for group in groups if group)
         axis.hist([np.clip(group, low, top) for group in groups], bins=40, color=FABRIC_COLORS[: len(fabrics)])

@@ -1,15 +1,30 @@
 """Tasks of the dataset: planned once each, done once each, from the pattern to the files (small and coarse)."""
 
+import csv
 import dataclasses
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.physics.dressing import Diverged, Drape
+from tryon_jax.training import bench as bench_module
 from tryon_jax.training import generate
 from tryon_jax.training.dataset import STATISTICS, DatasetConfig, is_good, load_arrays, mesh_path, open_dataset
-from tryon_jax.training.generate import Bench, Task, garment_names, plan, run_task, template_designs
+from tryon_jax.training.generate import (
+    Bench,
+    Task,
+    batches,
+    garment_names,
+    plan,
+    run_batch,
+    run_task,
+    template_designs,
+)
+from tryon_jax.training.samples import manifest_table, read_samples
 
 SMALL = DatasetConfig(fabrics=("gray-interlock",), target_area=8e-4, dense_vertices=900)
 
@@ -130,9 +145,92 @@ def test_the_stored_mesh_is_the_truth(root: Path, monkeypatch: pytest.MonkeyPatc
     def fail(*args: object, **kwargs: object) -> None:
         raise AssertionError("meshed again")
 
-    monkeypatch.setattr(generate, "remesh", fail)
+    monkeypatch.setattr(bench_module, "remesh", fail)
     mesh, cloth = Bench(root).garment("tank-0")
     assert float(cloth.active.sum()) == len(mesh["start"])
+
+
+def test_batches_hold_every_task_once_and_rays_of_one_garment() -> None:
+    means, templates, rays = plan(DatasetConfig(), ["tank-0", "tshirt-0"], rays=3, templates=5)
+    for wave, size in ((means, 3), (templates, 2), (rays, 4)):
+        groups = batches(wave, size)
+        assert {task for group in groups for task in group} == set(wave)
+        assert sum(map(len, groups)) == len(wave)
+        assert max(map(len, groups)) <= size
+    assert all(len({task.garment for task in group}) == 1 for group in batches(rays, 4))
+    assert batches([], 4) == []
+
+
+def copy_of(root: Path, folder: Path) -> Path:
+    """The dataset with its meshes and drapes on the mean body, without rays."""
+    shutil.copytree(root, folder, ignore=shutil.ignore_patterns("rays"))
+    return folder
+
+
+def test_what_diverges_is_marked_and_not_left_out(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(copy_of(root, tmp_path / "set"))
+    task = Task("ray", "tank-0", "gray-interlock", 3)
+    first = bench._resume(task, bench._worn("tank-0", "gray-interlock"))
+
+    def lost_at_the_second(*arguments: object) -> Iterator[Drape]:
+        yield first
+        raise Diverged("the drape diverged")
+
+    monkeypatch.setattr(bench_module, "sweep", lost_at_the_second)
+    assert "lost" in bench.simulate_ray(task)
+    ray = load_arrays(task.path(bench.root))
+    assert is_good(ray).tolist() == [True] + 7 * [False]
+    assert np.isinf(ray["residual"][1:]).all()
+    np.testing.assert_array_equal(ray["vertices"][7], first.vertices)
+    # A garment that cannot be dressed at all: its mean drape is marked, and so are all shapes after it.
+    mean = Task("mean", "tank-0", "gray-interlock")
+    mean.path(bench.root).unlink()
+
+    def undressable(*arguments: object) -> Drape:
+        raise Diverged("the drape diverged")
+
+    monkeypatch.setattr(bench_module, "dress", undressable)
+    assert "lost" in bench.simulate_mean(mean)
+    assert not is_good(load_arrays(mean.path(bench.root)))
+    assert "lost" in bench.simulate_ray(dataclasses.replace(task, number=4))
+    assert not is_good(load_arrays(dataclasses.replace(task, number=4).path(bench.root))).any()
+
+
+def test_the_manifest_lists_every_sample(root: Path) -> None:
+    samples = read_samples(root)
+    assert len(samples) == 1 + 2
+    lines = list(csv.DictReader(manifest_table(root, samples, load_manifest()).splitlines()))
+    assert [line["row"] for line in lines] == ["", "0", "1"]
+    assert lines[0]["file"] == "mean/tank-0_gray-interlock.npz"
+    assert lines[0]["split"] == "training"
+    ray = load_arrays(root / "rays" / "tank-0_gray-interlock_06.npz")
+    for row, line in enumerate(lines[1:]):
+        assert line["split"] == ("test" if ray["test"][row] else "training")
+        assert [float(beta) for beta in line["betas"].split()] == pytest.approx(ray["betas"][row], rel=1e-5)
+        assert float(line["residual"]) == pytest.approx(float(ray["residual"][row]), rel=1e-5)
+        assert (line["kept"], line["broken_rules"]) == ("yes", "")
+        assert (line["design"], line["topology_seed"]) == ("tank", "0")
+    tight = dataclasses.replace(samples[1], statistics=samples[1].statistics | {"tension": 400.0, "depth": 0.002})
+    [line] = csv.DictReader(manifest_table(root, [tight], load_manifest()).splitlines())
+    assert (line["kept"], line["broken_rules"]) == ("no", "depth tension")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")
+def test_side_by_side_writes_the_same_files(root: Path, tmp_path: Path) -> None:
+    folder = copy_of(root, tmp_path / "set")
+    bench = generate._bench(str(folder))
+    rays, test = (tuple(shapes[:2] for shapes in part) for part in (bench.protocol.rays, bench.protocol.test))
+    bench.protocol = dataclasses.replace(bench.protocol, rays=rays, test=test)
+    tasks = [Task("ray", "tank-0", "gray-interlock", number) for number in (6, 12)]
+    assert "2 side by side" in run_batch(str(folder), tasks)
+    assert run_batch(str(folder), tasks) == ""
+    alone, together = (load_arrays(where / "rays" / "tank-0_gray-interlock_06.npz") for where in (root, folder))
+    assert set(alone) == set(together)
+    np.testing.assert_array_equal(alone["betas"], together["betas"])
+    assert is_good(together).all()
+    # Two runs that differ by rounding end in other folds, millimetres apart.
+    assert np.linalg.norm(alone["vertices"] - together["vertices"], axis=2).mean() < 2e-3
 
 
 def test_a_ray_without_its_mean_drape_says_so(root: Path) -> None:

@@ -5,6 +5,8 @@
     ROOT/mean/<garment>_<fabric>.npz           drape on the mean body, with the state to continue from
     ROOT/rays/<garment>_<fabric>_<ray>.npz     drapes along one ray: vertices [N, V, 3], betas, statistics
     ROOT/templates/<number>.npz                drapes of the template on the mean body: for R_mean
+    ROOT/samples.csv                           the manifest: every sample, its split, whether it is kept, and why not
+    ROOT/checksums.txt                         SHA-256 of every file, as `sha256sum` writes and checks it
 
 <garment> is <design label>-<topology seed>. Every sample carries statistics; `is_good` decides by fixed rules which
 are used, and nothing is dropped silently.
@@ -12,6 +14,7 @@ are used, and nothing is dropped silently.
 
 import json
 import os
+import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -30,6 +33,13 @@ MAX_SELF_INTERSECTIONS = 1e-3
 """Share of faces that pass through another."""
 MAX_TENSION = 300.0
 """N/m, 95th percentile over faces: above it real cloth could not be pulled over the body."""
+RULES = {
+    "residual": MAX_RESIDUAL,
+    "depth": MAX_DEPTH,
+    "self_intersections": MAX_SELF_INTERSECTIONS,
+    "tension": MAX_TENSION,
+}
+"""Largest value of a statistic that a kept sample may have."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +108,18 @@ def _read_table(path: Path) -> dict[str, Any]:
     return table
 
 
+def remove_leftovers(root: Path, age: float = 3600.0) -> int:
+    """Delete what killed writers left behind: hidden files older than `age` seconds; returns how many.
+
+    Younger ones may belong to another process or machine that is writing now.
+    """
+    oldest = time.time() - age
+    old = [path for path in root.rglob(".*.npz") if path.stat().st_mtime < oldest]
+    for path in old:
+        path.unlink(missing_ok=True)
+    return len(old)
+
+
 def mesh_path(root: Path, garment: str) -> Path:
     """File of a garment's mesh."""
     return root / "meshes" / f"{garment}.npz"
@@ -142,9 +164,4 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def is_good(statistics: Mapping[str, np.ndarray]) -> np.ndarray:
     """Which samples are kept: at rest, outside the body, not through themselves, not under impossible tension."""
-    return np.asarray(
-        (statistics["residual"] <= MAX_RESIDUAL)
-        & (statistics["depth"] <= MAX_DEPTH)
-        & (statistics["self_intersections"] <= MAX_SELF_INTERSECTIONS)
-        & (statistics["tension"] <= MAX_TENSION)
-    )
+    return np.asarray(np.all([statistics[key] <= limit for key, limit in RULES.items()], axis=0))

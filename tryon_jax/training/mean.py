@@ -42,7 +42,7 @@ def load_templates(root: Path) -> TemplateSamples:
     Raises:
         FileNotFoundError: there is none.
     """
-    tables = [load_arrays(path) for path in sorted((root / "templates").glob("*.npz"))]
+    tables = [load_arrays(path) for path in sorted((root / "templates").glob("[!.]*.npz"))]
     kept = [table for table in tables if bool(is_good(table))]
     if not kept:
         raise FileNotFoundError(f"no template drapes in {str(root)!r}: run `python -m experiments simulate` first")

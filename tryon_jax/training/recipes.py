@@ -86,7 +86,7 @@ def dataset_checksum(root: Path, names: Sequence[str]) -> str:
     """SHA-256 over names and sizes of the files that a training run reads: which samples, not every byte."""
     digest = hashlib.sha256((root / "config.json").read_bytes())
     for folder in ("mean", "rays", "templates"):
-        for path in sorted((root / folder).glob("*.npz")):
+        for path in sorted((root / folder).glob("[!.]*.npz")):
             if folder == "templates" or path.name.split("_")[0] in names:
                 digest.update(f"{folder}/{path.name}:{path.stat().st_size}".encode())
     return digest.hexdigest()
