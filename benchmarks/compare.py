@@ -220,6 +220,8 @@ def measure_cell(cell: Cell, config: Config, ceilings: Ceilings) -> dict[str, An
     entry["beside"] = {name: [1e3 * t for t in values] for name, values in times.items() if name != "xla"}
     if cell.subject == "solver step":
         entry["linear_iterations"] = int(np.asarray(made.fresh(0)[2]).max())
+        # The traffic was counted for an assumed number of iterations.
+        entry["share_of_ceiling"] *= entry["linear_iterations"] / _simulation.CG_ITERATIONS
     return entry
 
 
