@@ -51,5 +51,7 @@ def make_protocol(num_betas: int = 2) -> Protocol:
     angles = 2 * np.pi * np.arange(RAYS) / RAYS
     rays = tuple(radius[:, None] * np.array([EXTENT[0] * np.cos(a), EXTENT[1] * np.sin(a)])[None] for a in angles)
     test = tuple((k + np.arange(1, RAY_LENGTH + 1)) % 2 == 0 for k in range(RAYS))
-    # From coarse to fine: every fourth ray, then those halfway between, then the rest.
-    return Protocol(rays, test, (0, 12, 4, 16, 8, 20, 2, 14, 6, 18, 10, 22, 24, *range(1, 24, 2)))
+    # From coarse to fine, each halfway in the widest gap. Even and odd rays alternate, since training has the outermost
+    # shape of odd rays only.
+    order = (0, 13, 7, 19, 4, 22, 16, 10, 2, 23, 21, 17, 15, 12, 9, 6, 24, 20, 18, 14, 11, 8, 5, 3, 1)
+    return Protocol(rays, test, order)
