@@ -317,7 +317,7 @@ def draw(path: Path, results: Mapping[str, Any]) -> None:
     axis.axhline(len(results["variants"]) - 0.5, color="0.6", linewidth=0.8)
     axis.set_yticks(np.arange(len(entries)), [entry["title"] for entry in entries], fontsize=8)
     axis.invert_yaxis()
-    axis.set_xlabel("mm from the simulation, test shapes; above the line: equal short trainings, below: no learning")
+    axis.set_xlabel("mm from the simulation, test shapes (below the line: no learning)")
     axis.legend(fontsize=8)
     axis.spines[["top", "right"]].set_visible(False)
     with atomic_path(path) as temporary:

@@ -179,7 +179,7 @@ def draw(path: Path, results: Mapping[str, Any]) -> None:
     axis.set_ylim(bottom=0)
     axis.set_xlabel("vertices ÷ those trained at")
     axis.set_ylabel("mm from the simulation")
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, loc="lower right")
     axis.spines[["top", "right"]].set_visible(False)
     with atomic_path(path) as temporary:
         figure.savefig(temporary)

@@ -39,7 +39,7 @@ from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
 
 BUCKET = 3584
-"""Every garment of the design space fits, so that one size is compiled."""
+"""Most garments of the design space fit, so that one size is compiled; larger ones get their own."""
 _PRIOR = 0.3
 """Millimetres that a parameter one half range from its middle costs, where nothing else decides."""
 _STEPS = 8
@@ -108,7 +108,9 @@ class Workshop:
         """The garment of a design, meshed anew."""
         inside = np.clip(values.astype(float), self.space.minimum, self.space.maximum)
         mesh = remesh(self.space, self.space.from_values(inside), self.model.config.target_area, seed=seed)
-        return prepare_mesh(self.model, mesh, bucket=self.bucket), mesh
+        # Halvings of the graph need a little more room than its vertices.
+        bucket = self.bucket if mesh.num_vertices <= 0.98 * self.bucket else None
+        return prepare_mesh(self.model, mesh, bucket=bucket), mesh
 
     def recover(
         self, target: Float[np.ndarray, "T 3"], seen: Float[np.ndarray, " T"], rounds: int, steps: int
@@ -119,7 +121,7 @@ class Workshop:
         size, total, residuals = len(self.space.names), 0, []
         for _ in range(rounds):
             garment, mesh = self.garment(np.asarray(unknowns.values(units))[:size])
-            projection = np.zeros((len(target), self.bucket), np.float32)
+            projection = np.zeros((len(target), garment.graph.num_nodes), np.float32)
             own, weights = template_projection(mesh.template_vertices, mesh.template_weights, len(target))
             projection[:, : mesh.num_vertices] = own
             arguments = (unknowns, garment, projection, target, np.minimum(weights, seen))

@@ -205,8 +205,8 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
                 "" if reached is None or reached <= garment["tolerance"] else f", residual {reached:.3f}: not at rest"
             )
             lines.append(
-                f"| {title}{note} | {1e3 * entry['seconds']:.3g} ({low:.3g} to {high:.3g}) | "
-                f"{entry['seconds'] / drape_seconds:.2g} | {'–' if apart is None else f'{apart:.2f}'} |"
+                f"| {title}{note} | {_three(1e3 * entry['seconds'])} ({_three(low)} to {_three(high)}) | "
+                f"{_three(entry['seconds'] / drape_seconds)} | {'–' if apart is None else f'{apart:.2f}'} |"
             )
         once = ", ".join(f"{title} {seconds:.2f} s" for title, seconds in garment["once_seconds"].items())
         lines += ["", f"Once for each design: {once}.", ""]
@@ -219,6 +219,11 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         "",
         f"It is nearer to the simulation than the transfer: {'supported' if nearer else 'not supported'}.",
     ]
+
+
+def _three(value: float) -> str:
+    """Three digits or more, never with an exponent."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def draw(path: Path, results: Mapping[str, Any]) -> None:
