@@ -1,5 +1,7 @@
 """Settings of the documentation: `python -m sphinx -W docs site` builds it without a network."""
 
+from pathlib import Path
+
 import tryon_jax
 
 project = "tryon_jax"
@@ -11,6 +13,8 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphin
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build"]
+# Pages around what experiments and benchmarks write: they are there once these were run.
+MADE = ("simulator", "RESULTS", "BENCHMARKS", "cost")
 html_theme = "furo"
 html_title = "tryon_jax"
 html_static_path = ["images"]
@@ -30,6 +34,14 @@ def plain_bars(_app, _what, _name, _object, _options, lines):
     lines[:] = [line.replace("|", "\\|") for line in lines]
 
 
+def leave_out_pages_not_made(app, docname, source):
+    """Drop pages from the index that no program has written yet."""
+    if docname == "index":
+        absent = {name for name in MADE if not (Path(app.srcdir) / f"{name}.md").exists()}
+        source[0] = "\n".join(line for line in source[0].split("\n") if line not in absent)
+
+
 def setup(app):
     """Hook into Sphinx."""
+    app.connect("source-read", leave_out_pages_not_made)
     app.connect("autodoc-process-docstring", plain_bars)
