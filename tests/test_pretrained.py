@@ -20,17 +20,18 @@ def test_unknown_name_is_refused():
 
 
 def test_drapes_hang_on_the_body(model):
-    """Near the skin and hardly inside it, on shapes along directions that the training data covers."""
+    """Near the skin and hardly inside it, on shapes in all directions."""
     garment = tj.prepare(model, "tshirt")
     drape = jax.jit(tj.drape, static_argnames="fabric")
-    betas = jnp.array([[2.0, 0.0], [0.0, 0.0]])
+    betas = jnp.array([[0.0, 0.0], [2.0, 0.0], [-2.0, 0.0], [0.0, 1.3], [0.0, -1.3], [1.4, 1.0], [-1.4, -1.0]])
     for fabric in model.config.fabrics:
         vertices = garment.unpad(drape(model, garment, betas, fabric=fabric))
         for row, shape in zip(vertices, betas, strict=True):
             skin, _ = tj.shape_body(model.body, shape)
             distance = np.asarray(closest_points(build_surface(skin, model.body.faces), row).distance)
             assert np.median(distance) < 0.06
-            assert (distance < -0.01).mean() < 0.02
+            assert (distance < -0.005).mean() < 0.01
+            assert (distance < 0).mean() < 0.04
 
 
 def test_garments_follow_the_body(model):
