@@ -38,7 +38,7 @@ from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
 
-BUCKET = 3584
+BUCKET = 4608
 """Most garments of the design space fit, so that one size is compiled; larger ones get their own."""
 _PRIOR = 0.3
 """Millimetres that a parameter one half range from its middle costs, where nothing else decides."""
