@@ -314,6 +314,9 @@ class Page:
         self.controls.cancel.visible = self.controls.progress.visible = True
         self.controls.progress.value = 0.0
         self.controls.outcome.content = "dressing the mean body …"
+        # Step back so that both bodies are seen.
+        self.client.camera.position = (_BESIDE / 2, 0.2, 4.6)
+        self.client.camera.look_at = (_BESIDE / 2, -0.05, 0.0)
         self._simulation = Simulation(self.wardrobe.body, self.look, self._simulation_step, self._simulation_end)
 
     def _cancel_simulation(self) -> None:
