@@ -155,8 +155,9 @@ def draw(path: Path, results: dict[str, Any]) -> None:
             )
         axis.set_title(f"β towards {direction}°", fontsize=9)
         axis.set_xlabel("|β|")
-        axis.set_ylim(bottom=0)
         axis.spines[["top", "right"]].set_visible(False)
+    # All axes share it; set before the last curve is drawn it would cut off what comes after.
+    axes[0].set_ylim(bottom=0)
     axes[0].set_ylabel("Hausdorff distance, mm")
     axes[0].legend(fontsize=6)
     with atomic_path(path) as temporary:
