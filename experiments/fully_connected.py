@@ -244,8 +244,9 @@ def draw(path: Path, results: Mapping[str, Any]) -> None:
             axis.plot(levels, [values[reach == r].mean() for r in levels], style, color=color, label=method)
             axis.plot(reach, values, ".", color=color, markersize=4, alpha=0.5)
         axis.set_title(entry["name"].rsplit("-", 1)[0], fontsize=9)
-        axis.set_ylim(bottom=0)
         axis.spines[["top", "right"]].set_visible(False)
+    # All axes share it; set before the last curve is drawn it would cut off what comes after.
+    axes.flat[0].set_ylim(bottom=0)
     for axis in axes[-1]:
         axis.set_xlabel("distance from the mean body, share of the range", fontsize=8)
     for axis in axes[:, 0]:
