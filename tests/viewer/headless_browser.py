@@ -89,7 +89,8 @@ class Browser:
         )
 
     def click(self, label: str) -> None:
-        """Click on what says `label`."""
+        """Click on what says `label`, once it is there: the page shows its parts one after the other."""
+        self.wait(lambda: self.evaluate(f"{self.find(label)} !== undefined"), f"{label!r} to appear", seconds=60)
         self.evaluate(f"{self.find(label)}.click()")
 
     def _in_row(self, label: str, selector: str) -> str:
