@@ -1,9 +1,12 @@
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.fit import EASE_AT, girth_round, measure_fit, pattern_of, stretches, tape_place
+from tryon_jax.physics.fabrics import load_fabric
+from tryon_jax.physics.stretch import stiffness, tension_along
 
 
 def cylinder(radius, low, high, rows=9, columns=240, around=(0.0, 0.0)):
@@ -63,6 +66,37 @@ def test_stretch_is_what_was_done_to_the_pattern():
     longer = stretches(points * [1, 1.1, 1], faces, uv, faces_uv)
     np.testing.assert_allclose(longer[:, 0], 1.1, atol=2e-4)
     np.testing.assert_allclose(longer[:, 1], 1.0, atol=2e-4)
+
+
+def test_cloth_round_a_tube_pulls_as_its_fabric_does():
+    body = load_body("female")
+    fabric = load_fabric("white-dots-on-blk")
+    vertices, landmarks = np.asarray(body.v_template), load_landmarks(body)
+    middle, _ = tape_place(landmarks, "waist", vertices.astype(float))
+    points, faces, uv, faces_uv = cylinder(0.2, middle[1] - 0.05, middle[1] + 0.05, around=(0.0, middle[2]))
+    for share, pulls in ((1.0, False), (0.98, True), (1.02, False)):
+        fit = measure_fit(vertices, body.faces, landmarks, points, faces, uv * [share, 1], faces_uv, fabric)
+        stretch = fit.girth_stretch["waist"]
+        assert stretch == pytest.approx(1 / share, rel=1e-3)
+        # Green strain along the warp times the stiffness that the table has there.
+        green = 0.5 * (stretch**2 - 1)
+        expected = green * float(stiffness(jnp.array([[green, 0.0, 0.0]]), fabric)[0, 0]) if pulls else 0.0
+        assert fit.pull["waist"] == pytest.approx(expected, rel=0.02, abs=1e-6)
+    tight = measure_fit(vertices, body.faces, landmarks, points, faces, uv * [0.7, 1], faces_uv, fabric)
+    assert tight.too_tight == ["waist"]
+    assert "hardly be put on at the waist" in "\n".join(tight.lines())
+    assert tight.as_dict()["too_tight"] == ["waist"]
+
+
+def test_tension_does_not_depend_on_how_the_strain_is_written():
+    """Along a diagonal: strain, shear and stress in the rotated frame, by hand."""
+    fabric = load_fabric("gray-interlock")
+    green = 0.5 * (1.1**2 - 1)
+    k = stiffness(jnp.array([[green / 2, green / 2, green]]), fabric)[0]
+    stress = np.array([k[0] + k[1], k[1] + k[2]]) * green / 2
+    expected = 0.5 * stress.sum() + 0.5 * float(k[3]) * green
+    found = tension_along(1.1, np.array([1, 1]) / np.sqrt(2), fabric)
+    assert float(found) == pytest.approx(expected, rel=1e-4)
 
 
 def test_a_pattern_in_true_size_is_kept_and_a_texture_atlas_is_not():

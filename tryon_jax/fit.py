@@ -14,6 +14,8 @@ from scipy.sparse.csgraph import connected_components
 from tryon_jax.body.landmarks import GIRTHS, Landmarks
 from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.mesh.signed_distance import ClosedSurface
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.stretch import MAX_TENSION, tension_along
 from tryon_jax.types import ArrayLike
 
 EASE_AT = ("chest", "waist", "hip")
@@ -32,6 +34,10 @@ class Fit:
     """Girth of the body at each of `EASE_AT`, metres."""
     garment_girth: dict[str, float | None]
     """Length of the cloth round the body at the same height, metres; None where the garment does not go round it."""
+    girth_stretch: dict[str, float | None]
+    """Length of that cloth over its length in the pattern."""
+    pull: dict[str, float]
+    """Tension of the cloth along the tape at each of `EASE_AT` that it goes round, N/m; empty without a fabric."""
     clearance: Float[np.ndarray, " V"]
     """Distance of each vertex from the body, metres; negative inside."""
     tension: Float[np.ndarray, " V"]
@@ -49,6 +55,11 @@ class Fit:
         return float(np.mean(self.clearance < 0))
 
     @property
+    def too_tight(self) -> list[str]:
+        """Where the cloth pulls so hard that a real garment could not be put on."""
+        return [name for name, pull in self.pull.items() if pull > MAX_TENSION]
+
+    @property
     def deepest(self) -> float:
         """How far the deepest vertex lies inside the body, metres; 0 when none does."""
         return float(max(0.0, -self.clearance.min()))
@@ -62,9 +73,17 @@ class Fit:
             text = (
                 "not covered" if ease is None or cloth is None else f"{100 * cloth:.1f} cm, ease {100 * ease:+.1f} cm"
             )
+            if ease is not None and self.pull.get(name, 0.0) >= 1.0:
+                text += f", stretched {100 * ((self.girth_stretch[name] or 1) - 1):.1f} % by {self.pull[name]:.0f} N/m"
             lines.append(f"{name:<8} body {body:.1f} cm, garment {text}")
         high = np.quantile(self.tension, 0.95)
         lines.append(f"tension  {100 * high:.1f} % at the 95th percentile, {100 * self.tension.max():.1f} % at most")
+        if self.too_tight:
+            places = " and ".join(self.too_tight)
+            lines.append(
+                f"tight    this fabric could hardly be put on at the {places}: more than {MAX_TENSION:g} N/m, where "
+                "nothing was learned; take a larger garment or a softer fabric"
+            )
         lines.append(f"inside   {100 * self.inside:.2f} % of the vertices, {1000 * self.deepest:.1f} mm at most")
         return lines
 
@@ -74,6 +93,9 @@ class Fit:
             "body_girth": self.body_girth,
             "garment_girth": self.garment_girth,
             "ease": self.ease,
+            "girth_stretch": self.girth_stretch,
+            "pull": self.pull,
+            "too_tight": self.too_tight,
             "tension_95": float(np.quantile(self.tension, 0.95)),
             "tension_max": float(self.tension.max()),
             "vertices_inside": self.inside,
@@ -89,6 +111,7 @@ def measure_fit(
     faces: Int[ArrayLike, "F 3"],
     uv: Float[ArrayLike, "U 2"],
     faces_uv: Int[ArrayLike, "F 3"],
+    fabric: Fabric | None = None,
 ) -> Fit:
     """Measure a draped garment on a body.
 
@@ -100,21 +123,32 @@ def measure_fit(
         faces: its triangles.
         uv: its pattern, metres.
         faces_uv: entry of `uv` of every face corner.
+        fabric: what it is made of, to say how hard it pulls.
     """
     body_points = np.asarray(body_vertices, np.float64)
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces)
     surface = ClosedSurface(body_points, np.asarray(body_faces))
     measured = _measure(body_vertices, landmarks)
+    flat, corners = np.asarray(uv, np.float64), np.asarray(faces_uv)
     cloth: dict[str, float | None] = {}
+    stretch: dict[str, float | None] = {}
+    tapes: dict[str, tuple[float, np.ndarray]] = {}
     for name in EASE_AT:
-        middle, normal = tape_place(landmarks, name, body_points)
-        cloth[name] = girth_round(points, triangles, middle, normal)
-    strain = stretches(points, triangles, np.asarray(uv, np.float64), np.asarray(faces_uv))[:, 0] - 1
+        loop = loop_round(points, triangles, *tape_place(landmarks, name, body_points))
+        if loop is None:
+            cloth[name] = stretch[name] = None
+            continue
+        length, natural = loop.length(points[triangles]), loop.length(flat[corners])
+        cloth[name], stretch[name] = length, length / natural
+        tapes[name] = length / natural, np.abs(np.diff(loop.at(flat[corners]), axis=1)[:, 0]).sum(axis=0)
+    strain = stretches(points, triangles, flat, corners)[:, 0] - 1
     total = np.bincount(triangles.ravel(), np.repeat(strain, 3), len(points))
     count = np.bincount(triangles.ravel(), minlength=len(points))
     return Fit(
         body_girth={name: float(measured[name]) for name in EASE_AT},
         garment_girth=cloth,
+        girth_stretch=stretch,
+        pull={} if fabric is None else _pulls(tapes, fabric),
         clearance=surface.closest(points, exact_below=_EXACT)[0],
         tension=total / np.maximum(count, 1),
     )
@@ -130,16 +164,48 @@ def tape_place(
     return middle, np.asarray(landmarks.normal)[row].astype(np.float64)
 
 
+@dataclass(frozen=True)
+class Loop:
+    """A closed curve on a mesh, made of one segment in each face that it crosses."""
+
+    faces: Int[np.ndarray, " S"]
+    corners: Int[np.ndarray, "S 2"]
+    """Each end lies on the edge of the face from this corner to the next."""
+    fractions: Float[np.ndarray, "S 2"]
+    """And this far along it, 0 … 1."""
+
+    def at(self, values: Float[np.ndarray, "F 3 C"]) -> Float[np.ndarray, "S 2 C"]:
+        """What is given at the corners of the faces, at the ends of the segments."""
+        start, end = (values[self.faces[:, None], (self.corners + step) % 3] for step in (0, 1))
+        return start + self.fractions[..., None] * (end - start)
+
+    def length(self, values: Float[np.ndarray, "F 3 C"]) -> float:
+        """Length of the curve where the corners of the faces lie at `values`, metres."""
+        ends = self.at(values)
+        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1).sum())
+
+
 def girth_round(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     inside: Float[np.ndarray, "3"],
     normal: Float[np.ndarray, "3"],
 ) -> float | None:
-    """Length of the cloth where the plane through `inside` across `normal` cuts it, metres, folds and all.
+    """Length of the cloth along `loop_round`, metres, folds and all; None where there is no such loop."""
+    loop = loop_round(vertices, faces, inside, normal)
+    return None if loop is None else loop.length(vertices[faces])
 
-    Of several curves the one that goes round `inside` counts. None where there is none, or where it meets an open
-    border, so that the cloth does not go all the way round.
+
+def loop_round(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    inside: Float[np.ndarray, "3"],
+    normal: Float[np.ndarray, "3"],
+) -> Loop | None:
+    """Where the plane through `inside` across `normal` cuts the cloth.
+
+    Of several curves the one that goes round `inside` counts, the longest of those. None where there is none, or where
+    it meets an open border, so that the cloth does not go all the way round.
     """
     height = (vertices - inside) @ normal
     above = height >= 0
@@ -147,25 +213,37 @@ def girth_round(
     if not len(face):
         return None
     # Every face that is cut has two cut edges, side by side in this list.
-    ends = np.sort(np.stack([faces[face, corner], faces[face, (corner + 1) % 3]], axis=1), axis=1)
-    edges, index, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
-    low, high = height[edges[:, 0]], height[edges[:, 1]]
-    fraction = (low / (low - high))[:, None]
-    points = vertices[edges[:, 0]] * (1 - fraction) + vertices[edges[:, 1]] * fraction
+    start, end = faces[face, corner], faces[face, (corner + 1) % 3]
+    fraction = height[start] / (height[start] - height[end])
+    every = Loop(face[::2], corner.reshape(-1, 2), fraction.reshape(-1, 2))
+    edges = np.sort(np.stack([start, end], axis=1), axis=1)
+    kinds, index, uses = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     segments = index.reshape(-1, 2)
-    links = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), shape=(len(edges), len(edges)))
+    links = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), shape=(len(kinds), len(kinds)))
     count, label = connected_components(links, directed=False)
-    start = np.eye(3)[np.argmin(np.abs(normal))]
-    across = np.cross(normal, start)
-    axes = np.stack([across, np.cross(normal, across)], axis=1)
-    flat = (points - inside) @ axes
-    best = None
+    away = np.eye(3)[np.argmin(np.abs(normal))]
+    across = np.cross(normal, away)
+    points = every.at(vertices[faces])
+    flat = (points - inside) @ np.stack([across, np.cross(normal, across)], axis=1)
+    best, longest = None, 0.0
     for curve in range(count):
         own = label[segments[:, 0]] == curve
-        if (uses[label == curve] == 2).all() and abs(_turns(flat[segments[own]])) > 0.5:
-            length = np.linalg.norm(np.diff(points[segments[own]], axis=1), axis=-1).sum()
-            best = max(best or 0.0, float(length))
+        if (uses[label == curve] == 2).all() and abs(_turns(flat[own])) > 0.5:
+            length = float(np.linalg.norm(np.diff(points[own], axis=1), axis=-1).sum())
+            if length > longest:
+                best, longest = Loop(every.faces[own], every.corners[own], every.fractions[own]), length
     return best
+
+
+def _pulls(tapes: dict[str, tuple[float, np.ndarray]], fabric: Fabric) -> dict[str, float]:
+    """Tension along each tape, N/m, from its stretch and its direction in the pattern; slack cloth does not pull."""
+    found = {}
+    for name in EASE_AT:
+        # Also where there is no tape or it hangs slack: the first tight garment then finds this compiled.
+        stretch, direction = tapes.get(name, (1.0, np.array([1.0, 0.0])))
+        unit = direction / np.linalg.norm(direction)
+        found[name] = float(max(0.0, tension_along(max(1.0, float(stretch)), unit, fabric.unnamed)))
+    return {name: found[name] for name in tapes}
 
 
 def _turns(segments: Float[np.ndarray, "N 2 2"]) -> float:

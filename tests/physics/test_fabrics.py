@@ -88,6 +88,13 @@ def read(tmp_path: Path, text: str) -> Fabric:
     return load_fabric(path)
 
 
+def test_compiled_code_does_not_tell_fabrics_apart_by_name() -> None:
+    first, second = load_fabric("gray-interlock"), load_fabric("white-dots-on-blk")
+    assert jax.tree.structure(first) != jax.tree.structure(second)
+    assert jax.tree.structure(first.unnamed) == jax.tree.structure(second.unnamed)
+    np.testing.assert_array_equal(first.unnamed.stretch_table, first.stretch_table)
+
+
 def test_a_fabric_of_ones_own(tmp_path: Path) -> None:
     fabric = read(tmp_path, as_toml(friction=0.5, thickness=0.003))
     assert (fabric.name, float(fabric.friction)) == ("mine", 0.5)

@@ -44,7 +44,7 @@ def stack_cloths(cloths: Sequence[Cloth]) -> Cloth:
 
 def stack_fabrics(fabrics: Sequence[Fabric]) -> Fabric:
     """Fabrics with a leading axis; their names, which are no arrays, go."""
-    return stack([replace(fabric, name="stack") for fabric in fabrics])
+    return stack([fabric.unnamed for fabric in fabrics])
 
 
 def _widen(cloth: Cloth, slots: int) -> Cloth:

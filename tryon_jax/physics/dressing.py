@@ -222,7 +222,7 @@ def _settle(
             pairs = _pairs(state, cloth, drape.num_vertices, self_contact, pairs)
         piece = jnp.asarray(min(refresh, max_steps - steps), jnp.int32)
         goal = jnp.asarray(tolerance, state.x.dtype)
-        state, report = _solve(state, cloth, fabric, drape.surface, settings, motion, free, goal, piece, pairs)
+        state, report = _solve(state, cloth, fabric.unnamed, drape.surface, settings, motion, free, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
         # The linear solver stands still on NaN: positions may stay finite where forces are not.

@@ -6,6 +6,7 @@ a TOML file of the same form.
 
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,11 @@ class Fabric:
     thickness: Float[ArrayLike, ""]
     """Distance from the skin at which contact begins, metres."""
     name: str = static(default="fabric")
+
+    @property
+    def unnamed(self) -> "Fabric":
+        """The same cloth for compiled code, which would be compiled anew for every name."""
+        return replace(self, name="fabric")
 
 
 def stretch_table(stretching: Float[np.ndarray, "6 4"]) -> Float[np.ndarray, "30 30 30 4"]:
@@ -88,6 +94,11 @@ def load_fabric(name_or_path: str | Path) -> Fabric:
         raise ValueError(f"fabric file {str(path)!r} must hold exactly one [fabric-name] table, found {len(tables)}")
     name, table = next(iter(tables.items()))
     return _make_fabric(name, table)
+
+
+def known_fabric(name: str) -> Fabric | None:
+    """The embedded fabric of that name, None where networks were trained on a fabric of somebody's own."""
+    return load_fabric(name) if name in _embedded() else None
 
 
 def _embedded() -> dict[str, Any]:

@@ -12,9 +12,12 @@ from jaxtyping import Array, Float
 
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import GRID, GRID_LOW, Fabric
+from tryon_jax.types import ArrayLike
 
 FLOOR = 2.0
 """N/m. Smallest axial and shear stiffness that the tangent assumes: clipped table entries would make it singular."""
+MAX_TENSION = 300.0
+"""N/m. Cloth that pulls harder than this over a twentieth of its area could not be pulled over the body."""
 MAX_STIFFENING = 20.0
 """Cap on how much stiffer than the secant the tangent may be: it is unbounded where principal strains coincide."""
 
@@ -78,6 +81,22 @@ def _secant_stress(strain: Float[Array, "F 3"], k: Float[Array, "F 4"]) -> Float
 def stress(strain: Float[Array, "F 3"], fabric: Fabric) -> Float[Array, "F 3"]:
     """Second Piola-Kirchhoff stress (S00, S11, S01), N/m."""
     return _secant_stress(strain, stiffness(strain, fabric))
+
+
+@jax.jit
+def tension_along(stretch: Float[ArrayLike, ""], direction: Float[ArrayLike, "2"], fabric: Fabric) -> Float[Array, ""]:
+    """Tension, N/m, of cloth that is stretched along a direction of its pattern and kept as it is across.
+
+    Args:
+        stretch: length over natural length.
+        direction: unit vector (warp, weft).
+        fabric: the cloth.
+    """
+    u, v = jnp.asarray(direction)
+    # Strain and stress are (00, 11, twice 01) and (00, 11, 01): the same factors serve for both.
+    along = jnp.stack([u * u, v * v, 2 * u * v])
+    green = 0.5 * (jnp.asarray(stretch) ** 2 - 1) * along
+    return stress(green[None], fabric)[0] @ along
 
 
 def stretch_energy(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, ""]:
