@@ -109,12 +109,12 @@ def test_manifest() -> None:
     manifest = load_manifest()
     assert (len(manifest.training), len(manifest.unseen)) == (19, 6)
     assert (len(manifest.training_seeds), len(manifest.test_seeds)) == (2, 7)
-    assert len(manifest.additional) == 16
+    assert len(manifest.additional) == 32
     assert set(manifest.validation) < {d.label for d in manifest.additional}
-    assert len({d.label for d in manifest.designs}) == 41
-    assert len({tuple(d.values) for d in manifest.designs}) == 41
+    assert len({d.label for d in manifest.designs}) == 57
+    assert len({tuple(d.values) for d in manifest.designs}) == 57
     assert len(manifest.training_garments(additional=False)) == 38
-    assert len(manifest.training_garments()) == 54
+    assert len(manifest.training_garments()) == 70
     assert manifest.split("additional-0", manifest.training_seeds[0]) == "training"
     # Only the first topology of these is simulated for training.
     assert manifest.split("additional-0", manifest.training_seeds[1]) == "test"

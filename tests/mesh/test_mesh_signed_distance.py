@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tryon_jax.mesh.signed_distance import ClosedSurface, _closest_on_triangles
+from tryon_jax.mesh.signed_distance import ClosedSurface, _parts
 
 
 def test_box_has_its_analytic_distance_inside_outside_and_at_corners():
@@ -27,13 +27,28 @@ def test_equals_brute_force_on_an_uneven_mesh():
     surface = ClosedSurface(vertices, mesh.faces)
     points = np.random.default_rng(1).uniform(-1.2, 1.2, (200, 3)) * [1, 0.6, 0.4]
     distance, _, _ = surface.closest(points)
-    corners = np.broadcast_to(vertices[mesh.faces], (200, len(mesh.faces), 3, 3))
-    weights = _closest_on_triangles(points[:, None, :], corners)
-    offset = np.einsum("nkc,nkci->nki", weights, corners) - points[:, None]
-    np.testing.assert_allclose(np.abs(distance), np.linalg.norm(offset, axis=2).min(axis=1), atol=1e-12)
+    corners, count = vertices[mesh.faces], len(mesh.faces)
+    # Every pair, by another implementation.
+    found = trimesh.triangles.closest_point(np.tile(corners, (200, 1, 1)), np.repeat(points, count, axis=0))
+    offset = np.linalg.norm(found.reshape(200, count, 3) - points[:, None], axis=2)
+    np.testing.assert_allclose(np.abs(distance), offset.min(axis=1), atol=1e-12)
     near, _, _ = surface.closest(points, exact_below=0.05)
     close = np.abs(distance) < 0.05
     np.testing.assert_allclose(near[close], distance[close], atol=1e-12)
+
+
+def test_parts_tile_each_triangle():
+    corners = np.array(
+        [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [5, 0, 0], [0, 4, 0]], [[0, 0, 1], [1, 0, 1], [0, 1, 1]]]
+    )
+    centres, owner, reach = _parts(corners.astype(float))
+    np.testing.assert_array_equal(np.unique(owner, return_counts=True), [[0, 1, 2], [1, 25, 1]])
+    # Centres of equal parts average to the centre of the whole, and no point of it is farther than `reach` from one.
+    large = centres[owner == 1]
+    np.testing.assert_allclose(large.mean(axis=0), [5 / 3, 4 / 3, 0], atol=1e-12)
+    points = np.random.default_rng(0).dirichlet(np.ones(3), 2000) @ corners[1]
+    farthest = np.linalg.norm(points[:, None] - large, axis=2).min(axis=1).max()
+    assert 0.5 * reach < farthest <= reach
 
 
 def test_direction_on_the_surface_itself_is_outward():

@@ -63,8 +63,26 @@ def test_the_papers_input_and_energies_are_options(dataset, run, tmp_path):
     assert record["options"]["energy"] == 0.1
     assert np.isfinite(record["validation_mm"])
     assert len(record["curve"]) == 1
+    # A run that starts from a trained model says what that was trained on; finished once more it says the same.
+    earlier = read_record(model_path(run))["training"][f"fine-{FABRIC}"]
+    assert record["continues"] == earlier
+    fit_fine(dataset, tmp_path, FABRIC, options)
+    assert read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]["continues"] == earlier
     before, after = load_model(model_path(run)).fine[FABRIC], load_model(model_path(tmp_path)).fine[FABRIC]
     assert not np.array_equal(before.net.head.weight, after.net.head.weight)
+
+
+def test_fresh_topologies_are_trained_on_and_have_no_energy(dataset, run, tmp_path):
+    (tmp_path / "model.safetensors").write_bytes(model_path(run).read_bytes())
+    options = StageOptions(LoopOptions(steps=2, evaluate_every=2), garments=1, shapes=4, fresh=1)
+    fit_smooth(dataset, tmp_path, options)
+    record = read_record(model_path(tmp_path))["training"]["smooth"]
+    assert record["garments"] == 2
+    assert record["samples"] == 2 * record["continues"]["samples"]
+    assert record["options"]["fresh"] == 1
+    assert "fresh" not in record["continues"]["options"]
+    with pytest.raises(ValueError, match=r"energy = 0\.1 needs fresh = 0, not 1"):
+        fit_fine(dataset, tmp_path, FABRIC, replace(options, energy=0.1))
 
 
 def test_tasks_are_done_once(dataset):

@@ -90,8 +90,9 @@ class Browser:
 
     def click(self, label: str) -> None:
         """Click on what says `label`, once it is there: the page shows its parts one after the other."""
-        self.wait(lambda: self.evaluate(f"{self.find(label)} !== undefined"), f"{label!r} to appear", seconds=60)
-        self.evaluate(f"{self.find(label)}.click()")
+        # In one piece: between a look and a click the page may draw its parts anew.
+        click = f"(part => {{ if (part) part.click(); return part !== undefined; }})({self.find(label)})"
+        self.wait(lambda: self.evaluate(click), f"{label!r} to appear", seconds=60)
 
     def _in_row(self, label: str, selector: str) -> str:
         """JavaScript of the first element that matches `selector` in the row called `label`."""

@@ -20,6 +20,7 @@ from tryon_jax.graph.build import closest_body_vertices
 from tryon_jax.mesh.repair import load_garment
 from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.other_body import OtherBody
+from tryon_jax.physics.fabrics import known_fabric
 from tryon_jax.posing import pose_dressed, soft_skinning
 from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare, prepare_mesh
@@ -134,7 +135,7 @@ class Studio:
             remarks.append(_words(pushed))
         with self.clock.stage("fit"):
             pattern = (prepared.faces, prepared.uv, prepared.faces_uv)
-            fit = measure_fit(body_vertices, faces, self.landmarks, vertices, *pattern)
+            fit = measure_fit(body_vertices, faces, self.landmarks, vertices, *pattern, known_fabric(fabric))
         lines = [
             f"garment  {prepared.label}; {len(vertices)} vertices, {len(prepared.faces)} triangles",
             *prepared.remarks,

@@ -5,13 +5,17 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tryon_jax.body.shape import check_betas, shape_body
 from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, point_on_faces
-from tryon_jax.training.inspect import EXTREMITIES, FACE_SAMPLES
 from tryon_jax.types import ArrayLike, Body
+
+FACE_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6
+"""Barycentric points of each face that must be outside the body, besides the vertices."""
+EXTREMITIES = ("wrist", "hand", "ankle", "foot")
+"""Joints whose skin cloth does not collide with exactly (see `physics.proxy`)."""
 
 # Points go through in parts of this size, so that one size is compiled.
 _CHUNK = 4096
@@ -29,6 +33,12 @@ class Penetration:
     """Depth of the deepest of them, metres; 0 when all are outside."""
 
 
+def extremity_vertices(body: Body) -> Bool[np.ndarray, " V"]:
+    """True for the body's vertices of hands and feet."""
+    outer = [i for i, name in enumerate(body.joint_names) if name.split("_")[-1] in EXTREMITIES]
+    return np.asarray(body.lbs_weights)[:, outer].sum(axis=1) > 0.5
+
+
 class Skin:
     """The body as a surface to measure from; made once, moved to any shape.
 
@@ -39,8 +49,7 @@ class Skin:
         """Raises `ValueError` when the body's mesh is not closed."""
         self.body = body
         self._surface = build_surface(np.asarray(body.v_template), np.asarray(body.faces))
-        outer = [i for i, name in enumerate(body.joint_names) if name.split("_")[-1] in EXTREMITIES]
-        self._left_out = np.asarray(body.lbs_weights)[:, outer].sum(axis=1) > 0.5
+        self._left_out = extremity_vertices(body)
 
     def at(self, betas: ArrayLike) -> "ShapedSkin":
         """The skin of one body shape."""

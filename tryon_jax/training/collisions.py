@@ -19,10 +19,10 @@ from tryon_jax.body import shape_body, vertex_normals
 from tryon_jax.collision import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
 from tryon_jax.nets.unet import UNet
-from tryon_jax.training.garments import TRAINING_BUCKETS
+from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stages import predict_fine, predict_smooth
+from tryon_jax.training.stages import map_garments, predict_fine, predict_smooth
 from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
 from tryon_jax.types import ArrayLike, pytree
 
@@ -37,9 +37,9 @@ class CollisionOptions:
     """Options of the collision step."""
 
     loop: LoopOptions = field(
-        default_factory=lambda: LoopOptions(steps=600, learning_rate=3e-4, evaluate_every=100, weight_decay=0.0)
+        default_factory=lambda: LoopOptions(steps=1500, learning_rate=3e-4, evaluate_every=250, weight_decay=0.0)
     )
-    pool: int = 32
+    pool: int = 48
     """Garments of random design and topology that are trained on."""
     held_out: int = 8
     """Garments of other random designs and topologies that choose the weights."""
@@ -49,7 +49,7 @@ class CollisionOptions:
     """Random body shapes of each."""
     margin: float = 2e-3
     """Clearance asked for, metres."""
-    anchor: float = 0.5
+    anchor: float = 1.0
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
 
 
@@ -95,8 +95,7 @@ def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
 def pool_garment(model: TryOnModel, design: Design, topology: int, tree: cKDTree) -> PooledGarment:
     """One garment of a pool; `tree` holds the mean body's vertices."""
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=topology)
-    bucket = next((b for b in TRAINING_BUCKETS if b >= mesh.num_vertices), None)
-    garment = prepare_mesh(model, mesh, bucket=bucket)
+    garment = prepare_mesh(model, mesh, bucket=training_bucket(mesh.num_vertices))
     nearest = tree.query(np.asarray(garment.graph.vertices))[1].astype(np.int32)
     return PooledGarment(garment, nearest)
 
@@ -117,7 +116,7 @@ class CollisionTask:
 
     def loss(self, net: UNet, batch: CollisionBatch) -> Float[Array, ""]:
         """Collision loss over the margin, plus the anchor."""
-        return jax.vmap(lambda p, b: self._garment_loss(net, p, b))(batch.pooled, batch.betas).mean()
+        return map_garments(lambda p, b: self._garment_loss(net, p, b), batch.pooled, batch.betas).mean()
 
     def _garment_loss(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, ""]:
         config, options = self.model.config, self.options

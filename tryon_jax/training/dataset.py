@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.physics.stretch import MAX_TENSION
 
 STATISTICS = ("residual", "steps", "depth", "inside", "self_intersections", "tension", "stretch")
 MAX_RESIDUAL = 0.02
@@ -31,8 +32,6 @@ MAX_DEPTH = 1e-3
 """Metres that any vertex or face sample may lie inside the body (hands and feet aside)."""
 MAX_SELF_INTERSECTIONS = 1e-3
 """Share of faces that pass through another."""
-MAX_TENSION = 300.0
-"""N/m, 95th percentile over faces: above it real cloth could not be pulled over the body."""
 RULES = {
     "residual": MAX_RESIDUAL,
     "depth": MAX_DEPTH,

@@ -22,6 +22,11 @@ TRAINING_BUCKETS = (2048, 2816, 3584)
 """Sizes that training garments are padded to; fewer than `prepare` has, since each costs a compilation."""
 
 
+def training_bucket(num_vertices: int) -> int | None:
+    """Size that a training garment is padded to; None for one larger than all, which gets a size of its own."""
+    return next((bucket for bucket in TRAINING_BUCKETS if bucket >= num_vertices), None)
+
+
 @dataclass(frozen=True, eq=False)
 class SimulatedGarment:
     """One garment mesh with all its kept drapes, padded to the graph's bucket."""
@@ -40,6 +45,8 @@ class SimulatedGarment:
     """Smoothed and averaged over all fabrics: what M_smooth is to be."""
     usable: Bool[np.ndarray, " S"]
     """Samples whose target may be learned: every fabric is at rest and at least one is good."""
+    source: str = ""
+    """The simulated garment whose drapes were carried over to this mesh (`carried`); empty where they are its own."""
 
     @property
     def label(self) -> str:
@@ -67,7 +74,7 @@ def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
         model.body,
         num_levels=config.num_levels,
         pooling=config.pooling,
-        bucket=next((b for b in TRAINING_BUCKETS if b >= len(vertices)), None),
+        bucket=training_bucket(len(vertices)),
     )
     size, count = graph.num_nodes, len(vertices)
     template_vertices, template_weights = np.zeros((size, 3), np.int32), np.zeros((size, 3), np.float32)
@@ -151,6 +158,8 @@ def training_shapes(samples: SimulatedGarment, manifest: Manifest) -> Bool[np.nd
     Raises:
         PermissionError: the garment's design or topology is for testing.
     """
-    if manifest.split(samples.label, samples.seed) != "training":
+    simulated = samples.source or samples.name
+    label, seed = simulated.rsplit("-", 1)
+    if manifest.split(label, int(seed)) != "training" or (samples.source and samples.seed in manifest.test_seeds):
         raise PermissionError(f"{samples.name} is a test garment: it may not be trained on")
     return samples.usable & ~samples.test

@@ -7,15 +7,11 @@ from jaxtyping import Array, Float, Int
 
 from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, nearest_vertices, point_on_faces
 from tryon_jax.mesh.intersections import self_intersecting_faces
+from tryon_jax.metrics.penetration import FACE_SAMPLES, extremity_vertices
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.dressing import Drape, Obstacle
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.stretch import deformation_gradients, green_strain, principal_stretches, stress
-
-FACE_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6
-"""Barycentric points of each face that must be outside the body, besides the vertices."""
-EXTREMITIES = ("wrist", "hand", "ankle", "foot")
-"""Joints whose skin cloth does not collide with exactly (see `physics.proxy`)."""
 
 _stretches = jax.jit(principal_stretches)
 _move = jax.jit(move_surface)
@@ -41,8 +37,7 @@ class Inspector:
         self.obstacle = obstacle
         body = obstacle.body
         self._surface: Surface = build_surface(np.asarray(body.v_template), np.asarray(body.faces))
-        outer = [i for i, name in enumerate(body.joint_names) if name.split("_")[-1] in EXTREMITIES]
-        self._extremity = np.asarray(body.lbs_weights)[:, outer].sum(axis=1) > 0.5
+        self._extremity = extremity_vertices(body)
 
     def penetration(self, drape: Drape, faces: Int[np.ndarray, "F 3"]) -> tuple[float, float]:
         """Depth of the deepest sample below the skin (metres, negative when all are outside) and the share inside."""

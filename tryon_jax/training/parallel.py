@@ -8,7 +8,7 @@ the step's number and keeps what its devices need; the first one alone reads and
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,10 +19,8 @@ from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
 from tryon_jax.checks import check_range
+from tryon_jax.training.parts import Batch, Params, ValueAndGrad, varies_by_shape
 
-Params = Any
-Batch = Any
-ValueAndGrad = Callable[[Params, Batch], tuple[jax.Array, Params]]
 AXIS = "data"
 """Name of the axis of devices."""
 
@@ -67,9 +65,9 @@ class SingleDevice:
     is_main = True
     """True where files are written and progress is shown."""
 
-    def value_and_grad(self, loss: Callable[[Params, Batch], jax.Array]) -> ValueAndGrad:
+    def average(self, value_and_grad: ValueAndGrad) -> ValueAndGrad:
         """Loss and gradient of a batch."""
-        return jax.value_and_grad(loss)
+        return value_and_grad
 
     def replicate(self, tree: Any) -> Any:
         """Weights and optimiser state where they are needed."""
@@ -100,16 +98,18 @@ class DataParallel(SingleDevice):
         self.is_main = jax.process_index() == 0
         self.shared = any(device.process_index != devices[0].process_index for device in devices)
 
-    def value_and_grad(self, loss: Callable[[Params, Batch], jax.Array]) -> ValueAndGrad:
+    def average(self, value_and_grad: ValueAndGrad) -> ValueAndGrad:
         """Mean over the devices of loss and gradient, each of its own part of the batch."""
 
-        def part(params: Params, batch: Batch) -> tuple[jax.Array, Params]:
-            return jax.lax.pmean(jax.value_and_grad(loss)(params, batch), AXIS)
-
         def whole(params: Params, batch: Batch) -> tuple[jax.Array, Params]:
+            leaves, structure = jax.tree.flatten(batch)
+
+            def part(params: Params, leaves: list[jax.Array]) -> tuple[jax.Array, Params]:
+                return jax.lax.pmean(value_and_grad(params, jax.tree.unflatten(structure, leaves)), AXIS)
+
             # The sparse product is a primitive that knows nothing of varying axes.
             run = jax.shard_map(part, mesh=self.mesh, in_specs=(P(), partition(batch)), out_specs=P(), check_vma=False)
-            return run(params, batch)
+            return run(params, leaves)
 
         return whole
 
@@ -124,13 +124,14 @@ class DataParallel(SingleDevice):
             ValueError: the number of shapes is not a multiple of the number of devices.
         """
         specs, count = partition(batch), self.mesh.size
-        for leaf, spec in zip(jax.tree.leaves(batch), jax.tree.leaves(specs), strict=True):
+        leaves, structure = jax.tree.flatten(batch)
+        for leaf, spec in zip(leaves, specs, strict=True):
             if spec != P() and leaf.shape[1] % count:
                 raise ValueError(
                     f"{leaf.shape[1]} body shapes in a batch cannot be split over {count} devices: "
                     f"use a multiple of {count} shapes, or fewer devices"
                 )
-        return jax.tree.map(self._put, batch, specs)
+        return jax.tree.unflatten(structure, [self._put(leaf, spec) for leaf, spec in zip(leaves, specs, strict=True)])
 
     def local(self, tree: Any) -> Any:
         """The copy on this process's first device."""
@@ -161,11 +162,6 @@ def visible_devices() -> SingleDevice:
     return SingleDevice() if len(devices) == 1 else DataParallel(devices)
 
 
-def partition(batch: Batch) -> Any:
-    """How each leaf of a batch is cut: the fields that its class names in `BY_SHAPE` along axis 1, the body shapes."""
-    fields = getattr(batch, "BY_SHAPE", ())
-
-    def spec(path: tuple[Any, ...], _leaf: Any) -> P:
-        return P(None, AXIS) if path and getattr(path[0], "name", None) in fields else P()
-
-    return jax.tree_util.tree_map_with_path(spec, batch)
+def partition(batch: Batch) -> list[P]:
+    """How each leaf of a batch is cut: what varies by body shape along axis 1."""
+    return [P(None, AXIS) if varies else P() for varies in varies_by_shape(batch)]

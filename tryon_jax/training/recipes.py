@@ -2,12 +2,15 @@
 
 RUN/model.safetensors     the model so far: R_mean, then R_smooth, then one R_fine after the other
 RUN/mean/, RUN/smooth/, RUN/fine-<fabric>/      curve.csv, checkpoint.npz, record.json of each stage
+
+A stage starts from the weights in the model: where RUN holds nothing but a trained model, it is trained further, and
+the record of its earlier training stays inside the new one.
 """
 
 import hashlib
 import json
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -23,6 +26,7 @@ from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNet, count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
+from tryon_jax.training.carried import fresh_topologies
 from tryon_jax.training.collisions import (
     CollisionBatch,
     CollisionOptions,
@@ -54,13 +58,17 @@ from tryon_jax.tryon.precision import cast_net
 class StageOptions:
     """Options of R_smooth's and R_fine's training."""
 
-    loop: LoopOptions = field(default_factory=LoopOptions)
-    garments: int = 2
+    loop: LoopOptions = field(
+        default_factory=lambda: LoopOptions(steps=12000, optimiser="muon", learning_rate=1e-2, warmup=200)
+    )
+    garments: int = 4
     """Garments in a batch."""
-    shapes: int = 8
+    shapes: int = 4
     """Body shapes of each garment in a batch."""
     designs: Literal["all", "paper"] = "all"
     """paper: the 19 training designs alone; all: the additional ones as well, where the dataset has them."""
+    fresh: int = 0
+    """Fresh topologies of each training garment that its simulated drapes are carried over to (see `carried`)."""
     fine_input: FineInput = "predicted"
     """What R_fine is trained on. predicted: M_smooth as R_smooth gives it, so that it also mends that network's errors;
     smoothed: the smoothed simulation (the paper)."""
@@ -123,7 +131,9 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
     model = load_model(model_path(run))
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
-    sets = smooth_sets(load_samples(model, root, names), manifest)
+    samples = load_samples(model, root, names)
+    samples += fresh_topologies(model, root, samples, manifest, options.fresh)
+    sets = smooth_sets(samples, manifest)
     checksum = dataset_checksum(root, names)
     stage, result = fit_stage(model, "smooth", model.smooth, sets, run / "smooth", options, checksum)
     model = replace(model, smooth=stage)
@@ -132,11 +142,18 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
 
 
 def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOnModel:
-    """Train one fabric's R_fine of a run whose R_smooth is trained."""
+    """Train one fabric's R_fine of a run whose R_smooth is trained.
+
+    Raises:
+        ValueError: energies and fresh topologies are asked for at once: those have no rest state.
+    """
+    if options.energy and options.fresh:
+        raise ValueError(f"energy = {options.energy} needs fresh = 0, not {options.fresh}: carried drapes do not rest")
     model = load_model(model_path(run))
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     samples = load_samples(model, root, names)
+    samples += fresh_topologies(model, root, samples, manifest, options.fresh)
     smooth_vertices = None
     if options.fine_input == "predicted":
         predictor = Predictor(model.config, "smooth")
@@ -237,6 +254,7 @@ def _save(
     checksum: str,
 ) -> None:
     record = store.read_record(model_path(run)).get("training", {})
+    earlier = record.get(name)
     record[name] = {
         "garments": len(sets),
         "samples": int(sum(s.train.sum() for s in sets)),
@@ -248,14 +266,25 @@ def _save(
         "platform": _platform(),
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
+    if earlier is not None:
+        again = all(earlier.get(key) == record[name][key] for key in ("options", "dataset"))
+        before = earlier.get("continues") if again else earlier
+        record[name] |= {"continues": before} if before else {}
     save_model(model_path(run), model, record)
 
 
+def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """A stage's trainings in their order: those that its record continues, then its own."""
+    earlier = record.get("continues")
+    return [*chain(earlier), record] if earlier else [record]
+
+
 def _options_record(options: StageOptions) -> dict[str, Any]:
-    """The options; without the precision where it is float32, so that runs begun before there was a choice continue."""
+    """The options; later ones only where they are used, so that runs begun before there was a choice continue."""
     record = asdict(options)
-    if options.precision == "float32":
-        del record["precision"]
+    for name, default in (("precision", "float32"), ("fresh", 0)):
+        if record[name] == default:
+            del record[name]
     return record
 
 

@@ -5,9 +5,9 @@ one set of weights serves them all. R_fine learns what is left after the *predic
 R_smooth's errors; `fine_input="smoothed"` is the paper's form, the simulation minus its smoothed self.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -114,23 +114,30 @@ def stage_loss(
     energy: float = 0.0,
     fabric: Fabric | None = None,
 ) -> Float[Array, ""]:
-    """Mean squared vertex error over the stage's scale (dimensionless), all garments and shapes alike.
+    """Mean squared vertex error over the stage's scale (dimensionless), every drape alike.
 
     Args:
         energy: weight of the cloth's energy of the prediction, see `relative_energy`.
         fabric: the stage's fabric, where there is such a weight.
     """
-    predicted = jax.vmap(lambda g, b, i: predict(config, kind, stage, g, b, i))(
-        batch.garments, batch.betas, batch.inputs
+    predicted = map_garments(
+        lambda g, b, i: predict(config, kind, stage, g, b, i), batch.garments, batch.betas, batch.inputs
     )
     mask = jnp.asarray(batch.garments.graph.mask)[:, None, :, None]
     error = jnp.where(mask, predicted - batch.targets, 0.0) / jax.lax.stop_gradient(stage.scale)
-    weight = mask.sum() * batch.betas.shape[1] * 3
-    loss = (error * error).sum() / weight
+    vertices = mask.sum(axis=(1, 2, 3))
+    loss = ((error * error).sum(axis=(2, 3)).mean(axis=1) / (3 * vertices)).mean()
     if energy and fabric is not None and batch.cloth is not None:
         many = jax.vmap(jax.vmap(relative_energy, (0, None, None)), (0, 0, None))
         loss = loss + energy * many(predicted, batch.cloth, fabric).mean()
     return loss
+
+
+def map_garments(function: Callable[..., Array], *batch: Any) -> Array:
+    """`jax.vmap` over leading axes; a single garment needs none of what makes several look like one."""
+    if jax.tree.leaves(batch)[0].shape[0] > 1:
+        return jax.vmap(function)(*batch)
+    return function(*jax.tree.map(lambda leaf: leaf[0], batch))[None]
 
 
 def relative_energy(vertices: Float[Array, "N 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, ""]:
@@ -147,14 +154,15 @@ def relative_energy(vertices: Float[Array, "N 3"], cloth: Cloth, fabric: Fabric)
 def split_validation(samples: SimulatedGarment, manifest: Manifest, every: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """Training shapes of a garment, less every eighth, which choose the weights (never the test shapes).
 
-    All shapes of the manifest's validation designs do.
+    All shapes of the manifest's validation designs do. Drapes that were carried over choose nothing.
     """
     allowed = training_shapes(samples, manifest)
     if samples.label in manifest.validation:
         return np.zeros_like(allowed), allowed
     validation = np.zeros_like(allowed)
     validation[np.flatnonzero(allowed)[every - 1 :: every]] = True
-    return allowed & ~validation, validation
+    train = allowed & ~validation
+    return (train, np.zeros_like(validation)) if samples.source else (train, validation)
 
 
 def smooth_sets(samples: Sequence[SimulatedGarment], manifest: Manifest) -> list[StageSet]:

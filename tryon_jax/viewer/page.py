@@ -321,8 +321,9 @@ class Page:
 
     def _cancel_simulation(self) -> None:
         if self._simulation is not None:
-            self._simulation.cancel()
+            # First the word, which the end of the simulation replaces.
             self.controls.outcome.content = "stopping …"
+            self._simulation.cancel()
 
     def _simulation_step(self, share: float, surface: Surface) -> None:
         self.controls.progress.value = 100 * share

@@ -25,6 +25,7 @@ from tryon_jax.mesh.repair import LoadedGarment
 from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.other_body import OtherBody, meet
+from tryon_jax.physics.fabrics import known_fabric
 from tryon_jax.posing import soft_skinning
 from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.training.protocol import EXTENT
@@ -200,7 +201,8 @@ class Wardrobe:
             drape = pushed.vertices.astype(np.float32)
         with _timed(seconds, "fit"):
             pattern = (cloth.faces, cloth.uv, cloth.faces_uv)
-            fit = measure_fit(look.body.vertices, look.body.faces, self._landmarks, drape, *pattern)
+            fabric = known_fabric(look.wish.fabric)
+            fit = measure_fit(look.body.vertices, look.body.faces, self._landmarks, drape, *pattern, fabric)
         layers = look.layers | {"drape": Surface(drape, cloth.faces)}
         return replace(look, layers=layers, fit=fit, pushed=pushed, seconds=seconds)
 
