@@ -11,12 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from tqdm import tqdm
 
-from experiments._evaluate import PatternMap, Stack, map_patterns, pattern_arrays
+from experiments._evaluate import Stack
 from experiments._neighbours import load_drapes
 from tryon_jax.garment import dense_template
 from tryon_jax.garment.design import Design
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.garment.mesh import SewnMesh
+from tryon_jax.garment.pattern_map import PatternMap, map_patterns, pattern_arrays
 from tryon_jax.nets.mlp import MLP, apply_mean_drape, apply_mlp, init_mlp
 from tryon_jax.training.dataset import load_arrays, mesh_path
 from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop

@@ -41,12 +41,26 @@ def open_pool(processes: int, scheduler: str = "") -> Iterator[Executor]:
         return
     os.environ["XLA_FLAGS"] = ONE_CORE
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=end_with_parent) as pool:
+    turn = context.Value("i", 0)
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=(turn,)) as pool:
         try:
             yield pool
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def _start_worker(turn: Any) -> None:
+    """Bind this worker to a core of its own, in turn, before JAX starts as many threads as it sees cores.
+
+    `ONE_CORE` alone does not prevent that, and threads of several workers that share cores wait for each other.
+    """
+    end_with_parent()
+    if hasattr(os, "sched_setaffinity"):
+        with turn.get_lock():
+            number, turn.value = turn.value, turn.value + 1
+        cores = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {cores[number % len(cores)]})
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,40 @@ def write_result(folder: Path, name: str, config: Any, results: Mapping[str, Any
     path = folder / f"{name}.json"
     write_text(path, json.dumps(record, indent=1, default=_plain) + "\n")
     return path
+
+
+def publish(
+    config: Any,
+    name: str,
+    results: Mapping[str, Any],
+    markdown: Callable[[Any], list[str]],
+    draw: Callable[[Path, Any], None] | None = None,
+    garments: Iterable[str] | None = None,
+    weights: Path | None = None,
+) -> None:
+    """End an experiment: write its record and its plot to `config.out`, and print what RESULTS.md will say of it.
+
+    Args:
+        config: the experiment's options, with `out` and, where there are `garments`, `data`.
+        name: the experiment.
+        results: its numbers.
+        markdown: its section of docs/RESULTS.md.
+        draw: its plot, `<name>.png`.
+        garments: which garments of the dataset it read.
+        weights: which model it measured.
+    """
+    parts = {}
+    if garments is not None:
+        parts["dataset"] = describe_dataset(config.data, sorted(garments))
+    if weights is not None:
+        parts["model"] = describe_model(weights)
+    written = [write_result(config.out, name, config, results, **parts)]
+    for line in markdown(results):
+        print(line)
+    if draw is not None:
+        written.append(config.out / f"{name}.png")
+        draw(written[-1], results)
+    print("wrote " + " and ".join(map(str, written)))
 
 
 def read_result(folder: Path, name: str) -> dict[str, Any] | None:

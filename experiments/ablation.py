@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from experiments._evaluate import case_names, held_out_rows, load_all, ray_ends, spread
 from experiments._neighbours import NearestGarments, load_drapes, transfer
-from experiments._record import RESULTS, describe_dataset, write_result
+from experiments._record import RESULTS, publish
 from experiments._variants import (
     BLOCK,
     VARIANTS,
@@ -62,10 +62,12 @@ class Config:
     fabric: str = "gray-interlock"
     """Fabric."""
     stage: StageOptions = field(
-        default_factory=lambda: StageOptions(LoopOptions(steps=400, evaluate_every=100), shapes=4)
+        default_factory=lambda: StageOptions(
+            LoopOptions(steps=600, optimiser="muon", learning_rate=1e-2, warmup=100, evaluate_every=200), shapes=2
+        )
     )
     """Of R_smooth, the same for all."""
-    fine_steps: int = 200
+    fine_steps: int = 300
     """Steps of R_fine."""
     measured_garments: int = 6
     """Garments of each case that are measured, evenly spread; 0 for all."""
@@ -145,12 +147,7 @@ def main(config: Config) -> None:
             config, start, measured, manifest, variant_garments(VARIANTS["base"], names, manifest)
         ),
     }
-    described = describe_dataset(config.data, sorted(garments))
-    path = write_result(config.out, "ablation", config, results, dataset=described)
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "ablation.png", results)
-    print(f"wrote {path} and {config.out / 'ablation.png'}")
+    publish(config, "ablation", results, markdown, draw, garments=garments)
 
 
 def _start(config: Config) -> TryOnModel:

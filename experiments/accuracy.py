@@ -23,7 +23,7 @@ from experiments._evaluate import (
     spread,
 )
 from experiments._neighbours import Drapes, NearestGarments, load_drapes, transfer
-from experiments._record import RESULTS, describe_dataset, describe_model, read_result, write_result
+from experiments._record import RESULTS, publish, read_result
 from experiments.ablation import block_ratio
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
@@ -116,18 +116,7 @@ def main(config: Config) -> None:
             for case, table in tables.items()
         },
     }
-    path = write_result(
-        config.out,
-        "accuracy",
-        config,
-        results,
-        dataset=describe_dataset(config.data, sorted({*garments, *known})),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "accuracy.png", results)
-    print(f"wrote {path} and {config.out / 'accuracy.png'}")
+    publish(config, "accuracy", results, markdown, draw, garments={*garments, *known}, weights=weights)
 
 
 def measure(

@@ -9,7 +9,7 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments._evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.metrics import Skin, vertex_distances
@@ -61,17 +61,7 @@ def main(config: Config) -> None:
     if config.before is not None:
         before = open_model(config.before, config.untrained, fabrics)
         results["measured_before"] = measure(before, garments, cases, fabrics, config.shapes)
-    path = write_result(
-        config.out,
-        "collisions",
-        config,
-        results,
-        dataset=describe_dataset(config.data, names),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
-    print(f"wrote {path}")
+    publish(config, "collisions", results, markdown, garments=names, weights=weights)
 
 
 def measure(

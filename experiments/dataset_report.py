@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.record import environment, table
+from experiments._record import describe_dataset, write_result
 from tryon_jax.atomic import atomic_path, write_text
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.checks import check_range
-from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import RULES, STATISTICS, default_root, is_good, load_arrays, mesh_path, read_config
 from tryon_jax.training.samples import Sample, manifest_table, read_samples
@@ -39,6 +40,8 @@ class Config:
     """Folder of the dataset."""
     out: Path = Path("dataset-report")
     """Folder for report.md, report.json, samples.csv and the pictures."""
+    record: Path | None = None
+    """Folder for a short record that `experiments report` reads; by default none is written."""
     pictures: bool = True
     """Draw contact sheets (seconds for each drape)."""
     shapes: int = 4
@@ -62,6 +65,7 @@ def main(config: Config) -> None:
         "dataset": {k: str(v) for k, v in vars(dataset).items()},
         "samples": len(samples),
         "kept": sum(not s.broken_rules() for s in samples),
+        "parts": count_parts(samples, load_manifest()),
         "by_design": count_rules(samples),
         "percentiles": percentiles(samples),
         "along_rays": smoothness(root, dataset.fabrics),
@@ -73,8 +77,70 @@ def main(config: Config) -> None:
     print(as_markdown(report))
     plot_histograms(out / "histograms.png", samples, dataset.fabrics)
     plot_kept(out / "kept.png", report["by_design"])
+    if config.record is not None:
+        garments = sorted({sample.garment for sample in samples})
+        results = {key: report[key] for key in ("samples", "kept", "parts", "percentiles", "along_rays")}
+        write_result(config.record, "dataset_report", config, results, dataset=describe_dataset(root, garments))
+        plot_histograms(config.record / "dataset_report.png", samples, dataset.fabrics)
     if config.pictures:
         draw_sheets(config, root, samples, dataset.body, dataset.fabrics)
+
+
+def count_parts(samples: list[Sample], manifest: Manifest) -> list[dict[str, Any]]:
+    """For each part of the dataset: its garments, the directions of body shape it covers, drapes, and how many stay.
+
+    `whole directions` are rays that every garment of the part has in every fabric.
+    """
+    training = {design.label for design in manifest.training}
+    additional = {design.label for design in manifest.additional}
+
+    def part(sample: Sample) -> str:
+        if sample.design in additional:
+            return "additional designs"
+        if sample.design not in training:
+            return "unseen designs"
+        return "training designs" if sample.seed in manifest.training_seeds else "unseen topologies"
+
+    groups: dict[str, list[Sample]] = defaultdict(list)
+    for sample in samples:
+        groups[part(sample)].append(sample)
+    rows = []
+    for name in ("training designs", "additional designs", "unseen designs", "unseen topologies"):
+        group = groups.get(name, [])
+        if not group:
+            continue
+        rays: dict[tuple[str, str], set[str]] = {(s.garment, s.fabric): set() for s in group}
+        for sample in group:
+            if sample.row is not None:
+                rays[sample.garment, sample.fabric].add(sample.path.stem.split("_")[2])
+        row: dict[str, Any] = {"part": name, "designs": len({s.design for s in group})}
+        row |= {"garments": len({s.garment for s in group}), "fabrics": len({s.fabric for s in group})}
+        row |= {"whole directions": len(set.intersection(*rays.values())), "drapes": len(group)}
+        row["kept"] = sum(not s.broken_rules() for s in group)
+        rows.append(row | {"for tests, of the kept": sum(s.test and not s.broken_rules() for s in group)})
+    return rows
+
+
+def markdown(results: dict[str, Any]) -> list[str]:
+    """Section of docs/RESULTS.md."""
+    kept = [{k: v for k, v in row.items() if k != "of"} for row in results["percentiles"] if row["of"] == "kept"]
+    share = 100 * results["kept"] / results["samples"]
+    return [
+        f"{results['samples']} drapes, {share:.1f} % kept by the rules ({rules()}). A tension above its rule marks "
+        "what real cloth could not be pulled over. Shapes between the training shapes are for tests.",
+        "",
+        table(results["parts"]),
+        "",
+        "Of the kept drapes:",
+        "",
+        table(kept),
+        *(("", "Along the rays, kept neighbours:", "", table(rows)) if (rows := results["along_rays"]) else ()),
+    ]
+
+
+def rules() -> str:
+    """The rules in words."""
+    return ", ".join(f"{key} ≤ {limit:g}" for key, limit in RULES.items())
 
 
 def count_rules(samples: list[Sample]) -> list[dict[str, Any]]:
@@ -136,7 +202,9 @@ def as_markdown(report: dict[str, Any]) -> str:
     share = 100 * report["kept"] / report["samples"]
     parts = [
         f"# Dataset of {report['samples']} drapes, {share:.1f} % kept",
-        "Rules: " + ", ".join(f"{key} ≤ {limit:g}" for key, limit in RULES.items()) + ".",
+        f"Rules: {rules()}.",
+        "## Parts",
+        table(report["parts"]),
         "## Kept and excluded, by design and fabric",
         table(report["by_design"]),
         "## Statistics",

@@ -9,12 +9,13 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import Stack, available, map_patterns, open_model, pattern_arrays, spread
+from experiments._evaluate import Stack, available, open_model, spread
 from experiments._neighbours import load_drapes
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment import GarmentMesh, remesh
 from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
 from tryon_jax.metrics import hausdorff_distance, vertex_distances
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
 from tryon_jax.training.recipes import model_path
@@ -105,18 +106,7 @@ def main(config: Config) -> None:
                 }
             )
     results = {"design": design.label, "fabric": config.fabric, "shapes": len(rows), "entries": entries}
-    path = write_result(
-        config.out,
-        "density",
-        config,
-        results,
-        dataset=describe_dataset(config.data, [name]),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "density.png", results)
-    print(f"wrote {path} and {config.out / 'density.png'}")
+    publish(config, "density", results, markdown, draw, garments=[name], weights=weights)
 
 
 def _drape(model: TryOnModel, mesh: GarmentMesh, way: str, betas: np.ndarray, fabric: str) -> Stack:

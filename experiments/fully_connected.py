@@ -10,13 +10,13 @@ from tqdm import tqdm
 
 from experiments._dense import DenseMeshes, DenseNetwork, load_samples, train_dense
 from experiments._evaluate import Pipeline, available, case_names, held_out_rows, load_all, open_model, spread
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from experiments.memory import PAPER_MEGABYTES, dense_bytes, dense_layers
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment.dense import DENSE_VERTICES
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import hausdorff_distance, vertex_distances
-from tryon_jax.nets.store import hash_arrays
+from tryon_jax.nets.store import hash_arrays, read_record
 from tryon_jax.nets.unet import count_parameters
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.garments import SimulatedGarment
@@ -107,22 +107,12 @@ def main(config: Config) -> None:
             "steps": result.curve[-1]["step"],
             "seconds": round(result.seconds),
             "curve": result.curve,
+            "ours": read_record(weights).get("training", {}).get("smooth", {}).get("samples"),
         },
         "designs": found,
         **summarise(found),
     }
-    path = write_result(
-        config.out,
-        "fully_connected",
-        config,
-        results,
-        dataset=describe_dataset(config.data, sorted({*names, *garments})),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "fully_connected.png", results)
-    print(f"wrote {path} and {config.out / 'fully_connected.png'}")
+    publish(config, "fully_connected", results, markdown, draw, garments={*names, *garments}, weights=weights)
 
 
 def measure(
@@ -186,7 +176,8 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         f"{PAPER_MEGABYTES['fully connected']:.0f} MB), ours {size['ours']:,}. It predicts displacements from the mean "
         "drape at the dense mesh, whose targets are carried over in UV from the simulated meshes; trained by AdamW on "
         f"{training['samples']} samples of {training['garments']} garments, {training['steps']} steps in "
-        f"{training['seconds'] / 60:.0f} minutes.",
+        f"{training['seconds'] / 60:.0f} minutes. Ours learned from {training.get('ours') or 'an unknown number of'} "
+        "samples of the same splits.",
         "",
         "| design | test shapes | Hausdorff, ours, mm | fully connected, mm | factor | shapes where ours is lower | "
         "mean per vertex, ours · fully connected, mm |",

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from experiments._evaluate import body_vertices, case_names, open_model, spread
 from experiments._neighbours import load_drapes
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from experiments._unknowns import (
     Found,
     Tape,
@@ -183,20 +183,9 @@ def main(config: Config) -> None:
         wished.append(entry)
         items += cells
     results = {"fabric": config.fabric, "recovered": recovered, "wishes": wished, "names": list(shop.space.names)}
-    path = write_result(
-        config.out,
-        "inverse",
-        config,
-        results,
-        model=describe_model(weights),
-        **({"dataset": describe_dataset(config.data, names)} if names else {}),
-    )
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "inverse.png", results)
+    publish(config, "inverse", results, markdown, draw, garments=names or None, weights=weights)
     if items:
         contact_sheet(config.out / "inverse.jpg", items, columns=len(items) // len(config.wishes), height=330)
-    print(f"wrote {path} and {config.out / 'inverse.png'}")
 
 
 def _own(shop: Workshop, config: Config, number: int) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from experiments._evaluate import (
     load_all,
     open_model,
 )
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import fold_statistics, vertex_distances
 from tryon_jax.render import SheetItem, contact_sheet
@@ -88,16 +88,7 @@ def main(config: Config) -> None:
         "difference_correlation": float(sizes[:, 2].mean()),
         "folds": {name: {k: float(np.mean([f[k] for f in found])) for k in found[0]} for name, found in folds.items()},
     }
-    path = write_result(
-        config.out,
-        "materials",
-        config,
-        results,
-        dataset=describe_dataset(config.data, names),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
+    publish(config, "materials", results, markdown, garments=names, weights=weights)
     shown = garments[config.picture if config.picture in garments else names[0]]
     rows = held_out_rows(shown, fabrics, 0)
     row = rows[[len(rows) // 2]]
@@ -113,7 +104,7 @@ def main(config: Config) -> None:
         for fabric, drape, color in zip(fabrics, drapes, COLORS, strict=True)
     ]
     contact_sheet(config.out / "materials.jpg", items, columns=2, crop="garment", height=380)
-    print(f"wrote {path} and {config.out / 'materials.jpg'}")
+    print(f"wrote {config.out / 'materials.jpg'}")
 
 
 def _difference(predicted: np.ndarray, simulated: np.ndarray) -> tuple[float, float, float]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.record import measure
-from experiments._record import RESULTS, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig
 from tryon_jax.nets.unet import init_unet
 from tryon_jax.training.recipes import model_path
@@ -71,10 +71,7 @@ def main(config: Config) -> None:
         "dense_layers": layers,
         "drapes": [_drape(model, design, config.repeats) for design in config.designs],
     }
-    path = write_result(config.out, "memory", config, results, model=describe_model(model_path(config.run)))
-    for line in markdown(results):
-        print(line)
-    print(f"wrote {path}")
+    publish(config, "memory", results, markdown, weights=model_path(config.run))
 
 
 def _drape(model: TryOnModel, design: str, repeats: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments._evaluate import Pipeline, available, common_rows, load_all, open_model
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import hausdorff_distance, vertex_distances
@@ -79,18 +79,7 @@ def main(config: Config) -> None:
             ]
         topologies.append(entry)
     results = {"design": label, "fabric": config.fabric, "topologies": topologies, **summarise(topologies)}
-    path = write_result(
-        config.out,
-        "new_topologies",
-        config,
-        results,
-        dataset=describe_dataset(config.data, names),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "new_topologies.png", results)
-    print(f"wrote {path} and {config.out / 'new_topologies.png'}")
+    publish(config, "new_topologies", results, markdown, draw, garments=names, weights=weights)
 
 
 def summarise(topologies: list[dict[str, Any]]) -> dict[str, Any]:

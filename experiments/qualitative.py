@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from experiments._evaluate import body_vertices, open_model
-from experiments._record import RESULTS, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import Skin, area_strain, self_intersecting_share
@@ -83,11 +83,9 @@ def main(config: Config) -> None:
                 }
             )
     results = {"fabric": config.fabric, "drapes": rows}
-    path = write_result(config.out, "qualitative", config, results, model=describe_model(weights))
-    for line in markdown(results):
-        print(line)
+    publish(config, "qualitative", results, markdown, weights=weights)
     contact_sheet(config.out / "qualitative.jpg", items, columns=len(betas), height=config.height)
-    print(f"wrote {path} and {config.out / 'qualitative.jpg'}")
+    print(f"wrote {config.out / 'qualitative.jpg'}")
 
 
 def markdown(results: dict[str, Any]) -> list[str]:

@@ -8,8 +8,14 @@ from typing import Any
 
 from experiments._record import RESULTS, read_result
 from tryon_jax.atomic import write_text
+from tryon_jax.training.recipes import chain
 
 SECTIONS = {
+    "dataset_report": (
+        "Simulated ground truth",
+        "What the networks learn from and are measured against: 201 body shapes along 25 directions of two betas, "
+        "half of them for tests, as in the paper; designs beyond its 19 are extra.",
+    ),
     "accuracy": (
         "Accuracy",
         "Distance of each garment vertex from the simulation, on body shapes that no training has seen. Every table "
@@ -23,7 +29,7 @@ SECTIONS = {
     "fully_connected": (
         "A fully connected network on one dense mesh",
         "Claim of the paper: on designs unseen in training its errors are consistently larger than those of the "
-        "convolutional network. Hausdorff distance between surfaces; both networks have the same training split.",
+        "convolutional network. Hausdorff distance between surfaces; both networks keep to the same splits.",
     ),
     "memory": (
         "Memory",
@@ -43,6 +49,11 @@ SECTIONS = {
         "Collisions",
         "Claim of the paper: self-supervised fine-tuning removes 70 % of the collisions in training and 20 % on "
         "unseen garments. Signed distance from the skin; hands and feet are left out.",
+    ),
+    "tightness": (
+        "Garments too tight",
+        "What `tryon drape` says of a garment that could hardly be put on, against what the simulator found. The paper "
+        "has no such report.",
     ),
     "qualitative": (
         "Unseen garments on unseen bodies",
@@ -93,7 +104,7 @@ def main(config: Config) -> None:
         f"`{config.results.as_posix() if not config.results.is_absolute() else config.results.name}`; nothing on this "
         "page is typed in by hand. Each section says on what hardware and from which weights and data it was measured. "
         "Networks see training shapes, designs and topologies alone; weights are chosen on every eighth training "
-        "shape; the test samples that are measured here choose nothing.",
+        "shape and on two designs that are never fitted; the test samples that are measured here choose nothing.",
         "",
     ]
     missing = []
@@ -133,12 +144,15 @@ def provenance(record: dict[str, Any]) -> str:
     if options:
         parts.append(f"options: {options}")
     if "model" in record:
-        stages = [
-            f"{stage} {entry['steps']} steps" if isinstance(entry, dict) and "steps" in entry else stage
-            for stage, entry in record["model"]["training"].items()
-            if stage != "platform"
-        ]
+        stages = [_stage(stage, entry) for stage, entry in record["model"]["training"].items() if stage != "platform"]
         parts.append(f"weights {record['model']['sha256'][:12]} ({', '.join(stages) or 'untrained'})")
     if "dataset" in record:
         parts.append(f"dataset {record['dataset']['checksum'][:12]}, {record['dataset']['garments']} garments read")
     return "; ".join(parts)
+
+
+def _stage(name: str, entry: Any) -> str:
+    """A stage with the steps of all its trainings."""
+    if not isinstance(entry, dict) or "steps" not in entry:
+        return name
+    return f"{name} {' + '.join(str(part['steps']) for part in chain(entry))} steps"

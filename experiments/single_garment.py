@@ -22,7 +22,7 @@ from experiments._evaluate import (
     open_model,
     ray_ends,
 )
-from experiments._record import RESULTS, describe_dataset, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
 from tryon_jax.nets.mlp import MLP, apply_mlp, init_mlp
@@ -190,19 +190,10 @@ def main(config: Config) -> None:
         "bytes": 4 * count_parameters((single.fit, single.wrinkles)),
         "measured": measured,
     }
-    path = write_result(
-        config.out,
-        "single_garment",
-        config,
-        results,
-        dataset=describe_dataset(config.data, list(garments)),
-        model=describe_model(weights),
-    )
-    for line in markdown(results):
-        print(line)
+    publish(config, "single_garment", results, markdown, garments=garments, weights=weights)
     items = picture(model, pipeline, single, garments, config)
     contact_sheet(config.out / "single_garment.jpg", items, columns=3, crop="garment", height=330)
-    print(f"wrote {path} and {config.out / 'single_garment.jpg'}")
+    print(f"wrote {config.out / 'single_garment.jpg'}")
 
 
 def how(garment: str, name: str) -> str:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from benchmarks.record import Timing, measure
 from experiments._evaluate import body_vertices, open_model
-from experiments._record import RESULTS, describe_model, write_result
+from experiments._record import RESULTS, publish
 from tryon_jax.atomic import atomic_path
 from tryon_jax.garment import placement, remesh
 from tryon_jax.mesh.signed_distance import ClosedSurface
@@ -77,11 +77,7 @@ def main(config: Config) -> None:
         "flags": os.environ.get("XLA_FLAGS", ""),
         "garments": garments,
     }
-    path = write_result(config.out, "speed", config, results, model=describe_model(weights))
-    for line in markdown(results):
-        print(line)
-    draw(config.out / "speed.png", results)
-    print(f"wrote {path} and {config.out / 'speed.png'}")
+    publish(config, "speed", results, markdown, draw, weights=weights)
 
 
 def time_garment(model: TryOnModel, design: str, config: Config) -> dict[str, Any]:

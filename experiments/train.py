@@ -1,13 +1,12 @@
 """Train everything, one stage after the other: R_mean, R_smooth, R_fine of each fabric, the collision step."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 from experiments import train_collisions, train_fine, train_mean, train_smooth
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.recipes import StageOptions
 
 
@@ -23,12 +22,12 @@ class Config:
     """Configuration of the networks."""
     reference: Literal["smoothed", "paper"] = "smoothed"
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
-    smooth_steps: int = 8000
-    fine_steps: int = 4000
+    smooth_steps: int = 12000
+    fine_steps: int = 8000
     """For each fabric."""
-    collision_steps: int = 600
+    collision_steps: int = 1500
     """For each fabric."""
-    evaluate_every: int = 250
+    evaluate_every: int = 500
 
 
 def main(config: Config) -> None:
@@ -39,15 +38,14 @@ def main(config: Config) -> None:
         )
 
     def options(steps: int) -> StageOptions:
-        return StageOptions(LoopOptions(steps=steps, evaluate_every=min(config.evaluate_every, steps)))
+        default = StageOptions()
+        return replace(
+            default, loop=replace(default.loop, steps=steps, evaluate_every=min(config.evaluate_every, steps))
+        )
 
     train_smooth.main(train_smooth.Config(config.data, config.run, options(config.smooth_steps)))
     train_fine.main(train_fine.Config(config.data, config.run, (), options(config.fine_steps)))
     default = CollisionOptions()
-    loop = LoopOptions(
-        steps=config.collision_steps,
-        learning_rate=default.loop.learning_rate,
-        evaluate_every=min(default.loop.evaluate_every, config.collision_steps),
-        weight_decay=0.0,
-    )
+    every = min(default.loop.evaluate_every, config.collision_steps)
+    loop = replace(default.loop, steps=config.collision_steps, evaluate_every=every)
     train_collisions.main(train_collisions.Config(config.run, (), CollisionOptions(loop=loop)))

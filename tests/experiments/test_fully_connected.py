@@ -5,10 +5,10 @@ import pytest
 from tiny_garments import AREA, FABRIC, tiny_model
 
 from experiments._dense import DenseGarment, DenseMeshes, DenseSamples, load_samples, train_dense
-from experiments._evaluate import PatternMap
 from experiments.fully_connected import draw, markdown, summarise
 from experiments.memory import dense_bytes, dense_layers
 from tryon_jax.garment import DENSE_VERTICES, load_manifest, remesh
+from tryon_jax.garment.pattern_map import PatternMap
 from tryon_jax.training.dataset import mesh_path, save_arrays
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.tryon import config_space
