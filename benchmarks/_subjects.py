@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Array, Float
 
 from benchmarks._garments import garment_of, model_of
 from benchmarks._machine import PRECISIONS
@@ -18,8 +19,10 @@ from benchmarks._reference import ReferenceGraph, cheb_conv, double, to_csr
 from tryon_jax.graph import apply_operator
 from tryon_jax.nets import PAPER, TryOnConfig, UNet, init_cheb_conv
 from tryon_jax.nets import cheb_conv as jax_cheb_conv
+from tryon_jax.training.parts import default_shapes_at_once, value_and_grad_in_parts
 from tryon_jax.tryon import Garment, Stage, TryOnModel, apply_stage, drape, smooth_features
 from tryon_jax.tryon.precision import cast_net, with_precision
+from tryon_jax.types import pytree
 
 FRESH = 3
 """Different inputs that timed calls take in turn."""
@@ -232,14 +235,32 @@ def unet_gradient(cell: Cell) -> Work:
     return Work(run, (net, garment), inputs, check, 1e-2, "relative", cell.batch, 3 * flops, 3 * moved)
 
 
+@pytree
+class _Shapes:
+    """A batch in the form that `value_and_grad_in_parts` divides."""
+
+    BY_SHAPE = ("betas", "shares")
+
+    garments: Garment
+    betas: Float[Array, "G B b"]
+    shares: Float[Array, "G B"]
+
+
 def training_step(cell: Cell) -> Work:
-    """Gradient and AdamW of R_smooth; the weights go in and come out."""
+    """Gradient and AdamW of R_smooth, as many shapes at once as training takes here; weights go in and come out."""
     config, net = config_of(cell), tryon_model(cell).smooth.net
     garment = garment_of(config, cell.vertices)
     optimiser = optax.adamw(1e-3, weight_decay=1e-5)
 
+    def loss(net: UNet, batch: _Shapes) -> jax.Array:
+        # The mean over parts of the batch is to be the sum that `shares` weights.
+        parts = cell.batch / batch.betas.shape[1]
+        own = jax.tree.map(lambda leaf: leaf[0], batch.garments)
+        return parts * squares(net, config, own, batch.betas[0], batch.shares[0])
+
     def step(net: UNet, state: Any, garment: Garment, betas: jax.Array, shares: jax.Array) -> tuple[Any, ...]:
-        value, gradient = jax.value_and_grad(squares)(net, config, garment, betas, shares)
+        batch = _Shapes(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], garment), betas[None], shares[None])
+        value, gradient = value_and_grad_in_parts(loss, default_shapes_at_once())(net, batch)
         updates, state = optimiser.update(gradient, state, net)
         return optax.apply_updates(net, updates), state, value
 

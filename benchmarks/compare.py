@@ -3,6 +3,9 @@
 python -m benchmarks compare
 python -m benchmarks compare --quick
 python -m benchmarks compare --full --minutes 60
+python -m benchmarks compare --full --minutes 60 --resume
+
+The record is written after every cell, so that nothing measured is lost when it is stopped.
 """
 
 import json
@@ -10,8 +13,7 @@ import re
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from functools import partial
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from benchmarks._machine import (
     surroundings,
 )
 from benchmarks._networks import dense_floor
+from benchmarks._pieces import cut_off, measured, read_begun
 from benchmarks._subjects import Cell, Work, config_of, tryon_model
 from benchmarks.record import RESULTS
 from tryon_jax.atomic import write_text
@@ -77,6 +80,8 @@ class Config:
     """Two small sizes, two batches, `small` alone: minutes, to see that all is well."""
     minutes: float = 8.0
     """Nothing new is begun after this time; what is left is recorded as skipped."""
+    resume: bool = False
+    """Go on with the record of this device in `out`: measure only what time did not suffice for."""
     max_call_seconds: float = 1.5
     """Cells whose one call would take longer, as predicted from the measured ceilings, are skipped."""
     max_gigabytes: float = 6.0
@@ -294,31 +299,47 @@ def peak_megabytes(made: Any) -> float | None:
     return max(peak, parts) / 1e6
 
 
-def run(config: Config) -> dict[str, Any]:
-    """Measure all cells; the record."""
+def run(config: Config, path: Path) -> dict[str, Any]:
+    """Measure all cells that are not settled; the record, which is kept at `path` from cell to cell."""
     began = time.monotonic()
     before = surroundings()
+    options = asdict(config) | {"out": ""}
+    record = read_begun(path, options, before) if config.resume else None
     on_cpu = jax.devices()[0].platform == "cpu"
     size, megabytes = (1536, 400) if on_cpu else (8192, 2000)
     ceilings = measure_ceilings(512 if config.quick else size, 64 if config.quick else megabytes)
-    cells, entries = plan(config), []
-    for cell in tqdm(cells, desc="cells", mininterval=2):
-        if time.monotonic() - began > 60 * config.minutes:
-            entries.append(asdict(cell) | {"skipped": f"the {config.minutes:g} minutes were over"})
-            continue
-        entries.append(measure_cell(cell, config, ceilings))
-    stats = jax.devices()[0].memory_stats() or {}
-    return {
-        "benchmark": "compare",
-        "environment": before,
-        "load_average_after": surroundings()["load_average"],
-        "minutes": round((time.monotonic() - began) / 60, 2),
-        "config": asdict(config) | {"out": ""},
+    cells = plan(config)
+    piece: dict[str, Any] = {
+        **{name: before[name] for name in ("date", "load_average", "clocks_mhz")},
         "ceilings": {"dense_gflops": ceilings.dense, "bandwidth_gb_s": ceilings.bandwidth},
-        "device_peak_mb": stats.get("peak_bytes_in_use", 0) / 1e6 or None,
-        "versions_of_peers": peer_versions(),
-        "cells": entries,
     }
+    if record is None:
+        record = {
+            "benchmark": "compare",
+            "environment": before,
+            "minutes": 0.0,
+            "config": options,
+            "ceilings": piece["ceilings"],
+            "versions_of_peers": peer_versions(),
+            "pieces": [],
+            "cells": [],
+        }
+    earlier = {Cell(**{f.name: entry[f.name] for f in fields(Cell)}): entry for entry in record["cells"]}
+    record["cells"] = entries = [earlier.get(cell, asdict(cell) | cut_off(config.minutes)) for cell in cells]
+    minutes_before = record["minutes"]
+    open_cells = [k for k, entry in enumerate(entries) if not measured(entry)]
+    if open_cells:
+        record.setdefault("pieces", []).append(piece)
+    for k in tqdm(open_cells, desc="cells", mininterval=2):
+        late = time.monotonic() - began > 60 * config.minutes
+        entries[k] = asdict(cells[k]) | cut_off(config.minutes) if late else measure_cell(cells[k], config, ceilings)
+        piece["minutes"] = round((time.monotonic() - began) / 60, 2)
+        piece["load_average_after"] = record["load_average_after"] = surroundings()["load_average"]
+        record["minutes"] = round(minutes_before + piece["minutes"], 2)
+        stats = jax.devices()[0].memory_stats() or {}
+        record["device_peak_mb"] = stats.get("peak_bytes_in_use", 0) / 1e6 or None
+        write_text(path, json.dumps(record, indent=1, default=_plain) + "\n")
+    return record
 
 
 def peer_versions() -> dict[str, str]:
@@ -341,9 +362,8 @@ def slug(device: str) -> str:
 
 def main(config: Config) -> None:
     """Measure, write the record, say what was slow and what was skipped."""
-    record = run(config)
-    path = config.out / f"{slug(record['environment']['device'])}.json"
-    write_text(path, json.dumps(record, indent=1, default=partial(_rounded)) + "\n")
+    path = config.out / f"{slug(surroundings()['device'])}.json"
+    record = run(config, path)
     timed = [entry for entry in record["cells"] if "ms" in entry]
     for entry in timed:
         cell = " ".join(str(entry[k]) for k in ("subject", "config", "vertices", "batch", "precision"))
@@ -353,5 +373,5 @@ def main(config: Config) -> None:
     print(f"{len(timed)} cells timed, {len(record['cells']) - len(timed)} skipped; wrote {path}")
 
 
-def _rounded(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)

@@ -4,7 +4,7 @@ python -m benchmarks cost
 python -m benchmarks cost --cpu-price 0.05 --gpu-price 3
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -17,6 +17,7 @@ from benchmarks.report import device, load_records
 from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_range
 from tryon_jax.nets.store import read_record
+from tryon_jax.training.recipes import chain
 
 SHAPES = 201
 """Body shapes of the dataset, the mean body included."""
@@ -153,8 +154,8 @@ def dataset_rows(rate: Rates) -> list[dict[str, Any]]:
 def training_rows(training: Mapping[str, Any], cpu_price: float) -> list[dict[str, Any]]:
     """What the shipped weights took, as their record says."""
     rows = []
-    for stage, found in training.items():
-        if isinstance(found, Mapping) and "seconds" in found:
+    for stage, found in _trainings(training):
+        if "seconds" in found:
             steps = found.get("steps", 0)
             rows.append(
                 {
@@ -167,6 +168,15 @@ def training_rows(training: Mapping[str, Any], cpu_price: float) -> list[dict[st
                 }
             )
     return rows
+
+
+def _trainings(training: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Each stage with its record, those that it continues first."""
+    for stage, found in training.items():
+        if not isinstance(found, Mapping):
+            continue
+        for k, part in enumerate(chain(found)):
+            yield (f"{stage}, continued" if k else stage), part
 
 
 def page(found: Sequence[Rates], training: Mapping[str, Any], config: Config) -> str:

@@ -77,7 +77,7 @@ def machines(records: Sequence[dict[str, Any]]) -> str:
             {
                 "device": device(record),
                 "cores": found["cpu_cores"] if found["platform"] == "cpu" else "",
-                "date": found["date"],
+                "date": ", ".join(dict.fromkeys([found["date"], *(p["date"] for p in record.get("pieces", []))])),
                 "jax": found["jax"],
                 "dense products, GFLOP/s": ", ".join(f"{name} {value:.0f}" for name, value in dense.items()),
                 "memory, GB/s": round(record["ceilings"]["bandwidth_gb_s"], 1),

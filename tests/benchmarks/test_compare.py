@@ -1,5 +1,6 @@
 """The comparison of devices: what is planned, checked, timed and skipped, and how records become a page."""
 
+import dataclasses
 import json
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks import _machine, report
+from benchmarks import _machine, compare, report
 from benchmarks._garments import mesh_of_size, subdivide
 from benchmarks._machine import Ceilings, counting_compilations, integrate_power, measure_ceilings
 from benchmarks._networks import layer_shapes
@@ -162,6 +163,37 @@ def test_a_quick_run_writes_one_record(tmp_path, capsys):
     assert {"load_average", "clocks_mhz", "jax"} <= set(record["environment"])
     assert all(cell["skipped"] == "the 0 minutes were over" for cell in record["cells"])
     assert "0 cells timed" in capsys.readouterr().out
+
+
+def test_a_record_is_continued_where_time_cut_it_off(tmp_path, monkeypatch):
+    calls = []
+
+    def measure(cell, config, ceilings):
+        calls.append(cell)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return dataclasses.asdict(cell) | summary([0.001] * 3, 1, None) | {"beside": {}}
+
+    monkeypatch.setattr(compare, "measure_cell", measure)
+    config = Config(subjects=("Laplacian product",), quick=True, out=tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        main(config)
+    [path] = tmp_path.glob("*.json")
+    cells = json.loads(path.read_text())["cells"]
+    assert ["ms" in cell for cell in cells] == [True, True, False]
+    begun = path.read_text()
+    with pytest.raises(ValueError, match="begun with repeats = 15, now it is 7"):
+        main(dataclasses.replace(config, resume=True, repeats=7))
+    assert path.read_text() == begun
+    main(dataclasses.replace(config, resume=True, minutes=3.0))
+    record = json.loads(path.read_text())
+    assert calls == [*plan(config), plan(config)[2]]
+    assert all("ms" in cell for cell in record["cells"])
+    assert len(record["pieces"]) == 2
+    main(dataclasses.replace(config, resume=True))
+    assert len(calls) == 4
+    main(config)
+    assert len(calls) == 7
 
 
 def record_of(platform: str, name: str, factor: float) -> dict:
