@@ -23,11 +23,15 @@ FABRIC = "gray-interlock"
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """One T-shirt at coarse triangles, one fabric, two rays of eight shapes, two template drapes."""
+    """One T-shirt at coarse triangles, one fabric, two rays of eight shapes, five template drapes.
+
+    Triangles this coarse cut some templates deeper into the body than the rules of the dataset allow; the fourth and
+    the fifth lie 1.2 and 2 mm from that limit, so that no other rounding turns them away.
+    """
     root = tmp_path_factory.mktemp("dataset")
     config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
     open_dataset(root, config)
-    for wave in plan(config, ["tshirt-0"], rays=2, templates=2):
+    for wave in plan(config, ["tshirt-0"], rays=2, templates=5):
         for task in wave:
             assert run_task(str(root), task)
     return root
@@ -87,7 +91,7 @@ def test_fresh_topologies_are_trained_on_and_have_no_energy(dataset, run, tmp_pa
 
 def test_tasks_are_done_once(dataset):
     config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
-    assert all(run_task(str(dataset), task) == "" for wave in plan(config, ["tshirt-0"], 2, 2) for task in wave)
+    assert all(run_task(str(dataset), task) == "" for wave in plan(config, ["tshirt-0"], 2, 5) for task in wave)
 
 
 def test_training_improves_on_doing_nothing(dataset, run):
