@@ -162,6 +162,16 @@ def cheb_layer(cell: Cell) -> Work:
     return Work(jax_cheb_conv, (params, operator), inputs, check, 1e-3, "", cell.batch, flops, moved, peers)
 
 
+def rounding_mm(found: np.ndarray, exact: np.ndarray) -> float:
+    """Largest distance [N, 3], metres in and millimetres out, per metre of what is computed where that is more.
+
+    Rounding grows with the numbers: networks that see a mesh 30 times as dense as any they were trained on send some
+    vertices metres away.
+    """
+    largest = np.linalg.norm(exact, axis=1).max()
+    return 1e3 * float(np.linalg.norm(found - exact, axis=1).max()) / max(1.0, float(largest))
+
+
 def unet_forward(cell: Cell) -> Work:
     """R_smooth's displacements, metres."""
     config, model = config_of(cell), tryon_model(cell)
@@ -180,8 +190,8 @@ def unet_forward(cell: Cell) -> Work:
         found, worst = np.asarray(run(stage, garment, *inputs[0]), np.float64), 0.0
         for b in {0, cell.batch - 1}:
             features = reference.smooth_features(config, np.asarray(inputs[0][0][b], np.float64))
-            worst = max(worst, np.abs(found[:, b] - reference.displacement(exact, features)).max())
-        return 1e3 * worst
+            worst = max(worst, rounding_mm(found[:, b], reference.displacement(exact, features)))
+        return worst
 
     nodes = garment.graph.num_nodes
     flops, moved = work_of_layers([stage.net], nodes, cell.batch, _entries(garment), jnp.dtype(dtype).itemsize)
@@ -295,9 +305,9 @@ def whole_drape(cell: Cell) -> Work:
         reference, worst = ReferenceGraph(garment), 0.0
         found = np.asarray(made(used, garment, *inputs[0]), np.float64)
         for b in {0, cell.batch - 1}:
-            exact = reference.drape(model, np.asarray(inputs[0][0][b]), fabric)
-            worst = max(worst, np.linalg.norm(found[b] - exact, axis=1)[reference.mask].max())
-        return 1e3 * worst
+            exact = reference.drape(model, np.asarray(inputs[0][0][b]), fabric)[reference.mask]
+            worst = max(worst, rounding_mm(found[b][reference.mask], exact))
+        return worst
 
     peers: dict[str, Callable[[], Any]] = {}
     if importlib.util.find_spec("torch_geometric") and cell.precision == "float32":

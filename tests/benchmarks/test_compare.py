@@ -247,3 +247,12 @@ def test_records_are_merged_side_by_side(tmp_path):
     assert "No GPU has been measured yet" in out.read_text()
     with pytest.raises(FileNotFoundError, match="no record of a comparison"):
         report.main(report.Config(tmp_path, out))
+
+
+def test_rounding_is_judged_by_the_size_of_what_is_computed():
+    from benchmarks._subjects import rounding_mm
+
+    exact = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.25]])
+    off = np.array([[0.0, 0.0, 0.0], [3e-6, 0.0, 4e-6]])
+    assert rounding_mm(exact + off, exact) == pytest.approx(5e-3)
+    assert rounding_mm(20 * exact + off, 20 * exact) == pytest.approx(5e-4)
