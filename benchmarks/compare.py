@@ -33,7 +33,7 @@ from benchmarks._machine import (
     surroundings,
 )
 from benchmarks._networks import dense_floor
-from benchmarks._pieces import cut_off, measured, read_begun
+from benchmarks._pieces import LIMITS, cut_off, measured, read_begun, too_large, too_long
 from benchmarks._subjects import Cell, Work, config_of, tryon_model
 from benchmarks.record import RESULTS
 from tryon_jax.atomic import write_text
@@ -81,7 +81,8 @@ class Config:
     minutes: float = 8.0
     """Nothing new is begun after this time; what is left is recorded as skipped."""
     resume: bool = False
-    """Go on with the record of this device in `out`: measure only what time did not suffice for."""
+    """Go on with the record of this device in `out`: measure only what time did not suffice for, and what larger
+    limits let in."""
     max_call_seconds: float = 1.5
     """Cells whose one call would take longer, as predicted from the measured ceilings, are skipped."""
     max_gigabytes: float = 6.0
@@ -182,13 +183,13 @@ def measure_cell(cell: Cell, config: Config, ceilings: Ceilings) -> dict[str, An
         return entry | measure_preparation(cell, config)
     gigabytes = needed_gigabytes(cell)
     if gigabytes > config.max_gigabytes:
-        return entry | {"skipped": f"it would need about {gigabytes:.0f} GB"}
+        return entry | too_large(gigabytes)
     if cell.subject == "full equilibrium":
         return entry | measure_equilibrium(cell, config, ceilings)
     work = SUBJECTS[cell.subject](cell)
     predicted = 3 * ceilings.floor(work.flops, work.moved, cell.precision)
     if predicted > config.max_call_seconds:
-        return entry | {"skipped": f"one call would take about {predicted:.1f} s"}
+        return entry | too_long(predicted)
     with counting_compilations() as compiling:
         start = time.perf_counter()
         with jax.default_matmul_precision(PRECISIONS[cell.precision][1]):
@@ -235,7 +236,7 @@ def measure_equilibrium(cell: Cell, config: Config, ceilings: Ceilings) -> dict[
     rows, slots = cell.vertices * 1.1, 12
     predicted = 3 * _simulation.CG_ITERATIONS * 30 * 1e-9 * rows * slots * 40 / ceilings.bandwidth
     if predicted > config.max_call_seconds * 2:
-        return {"skipped": f"one call would take about {predicted:.0f} s"}
+        return too_long(predicted)
     with counting_compilations() as compiling:
         start = time.perf_counter()
         work = _simulation.FullEquilibrium(cell)
@@ -327,9 +328,10 @@ def run(config: Config, path: Path) -> dict[str, Any]:
     earlier = {Cell(**{f.name: entry[f.name] for f in fields(Cell)}): entry for entry in record["cells"]}
     record["cells"] = entries = [earlier.get(cell, asdict(cell) | cut_off(config.minutes)) for cell in cells]
     minutes_before = record["minutes"]
-    open_cells = [k for k, entry in enumerate(entries) if not measured(entry)]
+    open_cells = [k for k, entry in enumerate(entries) if not measured(entry, options)]
     if open_cells:
         record.setdefault("pieces", []).append(piece)
+        record["config"] |= {name: options[name] for name in LIMITS}
     for k in tqdm(open_cells, desc="cells", mininterval=2):
         late = time.monotonic() - began > 60 * config.minutes
         entries[k] = asdict(cells[k]) | cut_off(config.minutes) if late else measure_cell(cells[k], config, ceilings)

@@ -32,6 +32,8 @@ UNITS = {
     "prepare": "garments",
 }
 """What is counted per second; drapes for the others."""
+STYLES = ("-o", ":s", "--^", "-.v")
+"""Line and marker of each device in the plots."""
 BEGIN = "# Benchmarks"
 
 
@@ -94,56 +96,39 @@ def key(cell: dict[str, Any]) -> tuple[Any, ...]:
 
 
 def subject_table(subject: str, records: Sequence[dict[str, Any]]) -> str:
-    """Every timed cell of one subject on every device; "" where there is none."""
-    cells = {}
+    """Every timed cell of one subject, a line for each device; "" where there is none."""
+    lines = []
     for number, record in enumerate(records):
-        for cell in record["cells"]:
-            if cell["subject"] == subject:
-                cells.setdefault(key(cell), {})[number] = cell
+        lines += [(key(cell), number, cell) for cell in record["cells"] if cell["subject"] == subject and "ms" in cell]
+    first = {identity: cell for identity, number, cell in lines if number == 0}
     rows = []
-    for (_, config, vertices, batch, precision), found in sorted(cells.items()):
-        if not any("ms" in cell for cell in found.values()):
-            continue
+    for identity, number, cell in sorted(lines, key=lambda line: line[:2]):
+        _, config, vertices, batch, precision = identity
         row: dict[str, Any] = {"network": config, "vertices": vertices, "batch": batch, "precision": precision}
-        for number, record in enumerate(records):
-            row |= columns(found.get(number, {}), UNITS.get(subject, "drapes"), device(record), len(records) > 1)
-        if len(records) > 1:
-            row |= ratio([found.get(number, {}) for number in range(len(records))], records)
+        row |= {"device": device(records[number])} | columns(cell, UNITS.get(subject, "drapes"))
+        against = first.get(identity) if number else None
+        row["× the first device"] = "–" if against is None else f"{cell['per_second'] / against['per_second']:.3g}"
         rows.append(row)
     empty = [name for name in (rows[0] if rows else ()) if all(row[name] in ("", "–") for row in rows)]
     return table([{name: value for name, value in row.items() if name not in empty} for row in rows]) if rows else ""
 
 
-def columns(cell: dict[str, Any], counted: str, name: str, named: bool) -> dict[str, Any]:
-    """A device's part of a row."""
-    prefix = f"{name}: " if named else ""
-    if "ms" not in cell:
-        blank = ("ms (quartiles)", f"{counted}/s", "of ceiling", "compile, s (number)", "MB", "error", "mJ", "beside")
-        return {prefix + title: "–" for title in blank}
+def columns(cell: dict[str, Any], counted: str) -> dict[str, str]:
+    """What was measured, as a line shows it."""
     share, memory, energy = cell.get("share_of_ceiling"), cell.get("memory_mb"), cell.get("joules")
     beside = ", ".join(
         f"{peer} {statistics.median(times) / cell['ms']:.2f}×" for peer, times in cell.get("beside", {}).items()
     )
     return {
-        prefix + "ms (quartiles)": f"{cell['ms']:.3g} ({cell['lower_ms']:.3g} to {cell['upper_ms']:.3g})",
-        prefix + f"{counted}/s": f"{cell['per_second']:.3g}",
-        prefix + "of ceiling": "–" if share is None else f"{100 * share:.0f} %",
-        prefix + "compile, s (number)": f"{cell['compile_s']:.1f} ({cell['compilations']})",
-        prefix + "MB": "–" if memory is None else f"{memory:.0f}",
-        prefix + "error": f"{cell['error']:.1g} {cell['unit']}".strip(),
-        prefix + "mJ": "–" if energy is None else f"{1e3 * energy:.3g}",
-        prefix + "beside": beside or "–",
+        "ms (quartiles)": f"{cell['ms']:.3g} ({cell['lower_ms']:.3g} to {cell['upper_ms']:.3g})",
+        f"{counted}/s": f"{cell['per_second']:.3g}",
+        "of ceiling": "–" if share is None else f"{100 * share:.0f} %",
+        "compile, s (number)": f"{cell['compile_s']:.1f} ({cell['compilations']})",
+        "MB": "–" if memory is None else f"{memory:.0f}",
+        "error": f"{cell['error']:.1g} {cell['unit']}".strip(),
+        "mJ": "–" if energy is None else f"{1e3 * energy:.3g}",
+        "beside": beside or "–",
     }
-
-
-def ratio(cells: Sequence[dict[str, Any]], records: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """Throughput of the first GPU over the first CPU."""
-    platforms = [record["environment"]["platform"] for record in records]
-    if not {"cpu", "gpu"} <= set(platforms):
-        return {}
-    cpu, gpu = cells[platforms.index("cpu")], cells[platforms.index("gpu")]
-    both = "ms" in cpu and "ms" in gpu
-    return {"GPU ÷ CPU": f"{gpu['per_second'] / cpu['per_second']:.1f}" if both else "–"}
 
 
 def skipped_list(records: Sequence[dict[str, Any]]) -> list[str]:
@@ -172,7 +157,8 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
         "dense product or of the memory measured in the same run, whichever is longer, over the time taken. MB: "
         "arguments, results and everything between as XLA planned it. Beside: time of the peer over ours, so more than "
         "1 is slower than ours; dense products are the same matrix products with no sparse operator and no activation. "
-        "A load above the number of cores says that other work disturbed the run.",
+        f"The last column compares throughput with that of {device(records[0])}. A load above "
+        "the number of cores says that other work disturbed the run.",
         "## Machines",
         machines(records),
     ]
@@ -190,49 +176,62 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
 
 
 def draw(records: Sequence[dict[str, Any]], folder: Path) -> list[str]:
-    """Throughput over the batch and time over the vertices; names of the pictures."""
+    """Throughput over the batch and time over the vertices: a colour for each subject, a line style for each device;
+    names of the pictures."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
+    from matplotlib.lines import Line2D
 
     names = []
     for across, fixed, title, value, label in (
         ("batch", "vertices", "benchmarks-batch.png", "per_second", "per second"),
         ("vertices", "batch", "benchmarks-vertices.png", "ms", "milliseconds"),
     ):
-        figure, axes = plt.subplots(1, 2, figsize=(12, 5), constrained_layout=True)
-        drawn = False
+        figure, axes = plt.subplots(1, 2, figsize=(12, 6), sharey=True, constrained_layout=True)
+        shown = set()
         for axis, network in zip(axes, ("small", "paper"), strict=True):
-            at = None
-            for record in records:
-                at = record["config"]["at_vertices" if fixed == "vertices" else "at_batch"]
+            for number, record in enumerate(records):
                 for subject in ALL:
-                    points = sorted(
-                        (c[across], c[value])
-                        for c in record["cells"]
-                        if c["subject"] == subject
-                        and c["config"] in (network, "")
-                        and c["precision"] == "float32"
-                        and c[fixed] == at
-                        and "ms" in c
-                    )
+                    points = curve(record, subject, network, across, fixed, value)
                     if len(points) > 1:
-                        style = "-o" if record["environment"]["platform"] == "cpu" else "--s"
-                        named = subject if len(records) == 1 else f"{subject}, {device(record)}"
-                        axis.loglog(*zip(*points, strict=True), style, label=named)
-                        drawn = True
-            axis.set(xlabel=across, ylabel=label, title=f"{network}, {at:,} {fixed}" if at else network)
+                        axis.loglog(*zip(*points, strict=True), STYLES[number % len(STYLES)], color=colour(subject))
+                        shown.add(subject)
+            at = records[0]["config"]["at_vertices" if fixed == "vertices" else "at_batch"]
+            axis.set(xlabel=across, ylabel=label, title=f"{network}, {fixed}: {at:,}")
             axis.grid(alpha=0.3, which="both")
-            if axis.lines:
-                axis.legend(fontsize=7)
-        if drawn:
+        if shown:
+            handles = [Line2D([], [], color=colour(name), lw=3, label=name) for name in ALL if name in shown]
+            handles += [
+                Line2D([], [], color="0.2", label=device(record), linestyle=style[:-1], marker=style[-1])
+                for record, style in zip(records, STYLES * len(records), strict=False)
+            ]
+            figure.legend(handles=handles, loc="outside lower center", ncols=5, fontsize=9)
             folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(folder / title) as temporary:
                 figure.savefig(temporary, dpi=110)
             names.append(title)
         plt.close(figure)
     return names
+
+
+def curve(
+    record: dict[str, Any], subject: str, network: str, across: str, fixed: str, value: str
+) -> list[tuple[float, float]]:
+    """A subject's points in float32 on one device, all else in the middle of its sweep."""
+    at = record["config"]["at_vertices" if fixed == "vertices" else "at_batch"]
+    wanted = {"subject": subject, "precision": "float32", fixed: at}
+    return sorted(
+        (cell[across], cell[value])
+        for cell in record["cells"]
+        if "ms" in cell and cell["config"] in (network, "") and all(cell[k] == v for k, v in wanted.items())
+    )
+
+
+def colour(subject: str) -> str:
+    """Of a subject in every plot."""
+    return f"C{ALL.index(subject)}"
 
 
 def main(config: Config) -> None:

@@ -12,6 +12,7 @@ from benchmarks import _machine, compare, report
 from benchmarks._garments import mesh_of_size, subdivide
 from benchmarks._machine import Ceilings, counting_compilations, integrate_power, measure_ceilings
 from benchmarks._networks import layer_shapes
+from benchmarks._pieces import measured, too_large, too_long
 from benchmarks._reference import ReferenceGraph, double
 from benchmarks._subjects import Cell, work_of_layers
 from benchmarks.compare import ALL, NETWORKS, Config, main, measure_cell, plan, summary, time_calls
@@ -196,6 +197,30 @@ def test_a_record_is_continued_where_time_cut_it_off(tmp_path, monkeypatch):
     assert len(calls) == 7
 
 
+def test_larger_limits_let_in_what_was_too_much(tmp_path, monkeypatch):
+    seconds = iter((3.2, 7.04, 0.1))
+    calls = []
+
+    def measure(cell, config, ceilings):
+        calls.append(cell)
+        if len(calls) <= 3:
+            return dataclasses.asdict(cell) | too_long(next(seconds))
+        return dataclasses.asdict(cell) | summary([0.001] * 3, 1, None) | {"beside": {}}
+
+    monkeypatch.setattr(compare, "measure_cell", measure)
+    config = Config(subjects=("Laplacian product",), quick=True, out=tmp_path, max_call_seconds=0.05)
+    main(config)
+    main(dataclasses.replace(config, resume=True))
+    assert len(calls) == 3
+    main(dataclasses.replace(config, resume=True, max_call_seconds=5.0))
+    assert calls[3:] == [plan(config)[0], plan(config)[2]]
+    [path] = tmp_path.glob("*.json")
+    record = json.loads(path.read_text())
+    assert record["config"]["max_call_seconds"] == 5.0
+    assert [cell.get("skipped") for cell in record["cells"]] == [None, "one call would take about 7.0 s", None]
+    assert not measured(too_large(9.0), {"max_call_seconds": 1.0, "max_gigabytes": 9.0})
+
+
 def record_of(platform: str, name: str, factor: float) -> dict:
     """A record as `compare` writes it, with known numbers."""
 
@@ -233,10 +258,11 @@ def test_records_are_merged_side_by_side(tmp_path):
     text = out.read_text()
     assert text.index("A processor") < text.index("A card")
     lines = [line for line in text.splitlines() if line.startswith("| small | 3581 | 8 |")]
-    assert len(lines) == 1
+    assert ["A processor" in line for line in lines] == [True, False]
     assert "8 (8 to 8)" in lines[0]
     assert "PyTorch Geometric 4.00×" in lines[0]
-    assert lines[0].endswith("| 10.0 |")
+    assert lines[0].endswith("| – |")
+    assert lines[1].endswith("| 10 |")
     assert "A card: drape small, vertices × batch 3,581 × 256: it would need about 9 GB." in text
     assert "No GPU" not in text
     for name in ("benchmarks-batch.png", "benchmarks-vertices.png"):
