@@ -86,7 +86,8 @@ def test_sweeping_side_by_side_is_sweeping_one_by_one(obstacle: Obstacle, togeth
             np.testing.assert_array_equal(lane.betas, rays[k, step])
             np.testing.assert_array_equal(lane.surface.vertices, alone[k].surface.vertices)
             assert lane.converged(EQUILIBRIUM)
-            assert apart(lane, alone[k]) < 1.5e-3
+            # As above: what rounding may do in float32.
+            assert apart(lane, alone[k]) < 3e-3
             assert (np.asarray(lane.state.x)[len(STARTS[k]) :] == 5.0).all()
 
 

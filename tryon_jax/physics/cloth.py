@@ -11,12 +11,14 @@ from jaxtyping import Float, Int
 from tryon_jax.checks import check_finite
 from tryon_jax.mesh.topology import components
 from tryon_jax.mesh.topology import hinges as find_hinges
+from tryon_jax.physics.coarse import Patches, make_patches
 from tryon_jax.types import ArrayLike, pytree
 
 BUCKET = 512
 """Vertex counts are padded to a multiple of this."""
-MIN_SLOTS = 12
-"""Blocks per row of the system matrix: a vertex and its neighbours, 7 in a regular mesh, up to 12 in irregular ones."""
+MIN_SLOTS = 10
+"""Blocks per row of the system matrix: a vertex and its neighbours, 7 in a regular mesh, up to 10 in those of φ; more
+where a mesh needs them, in pairs."""
 HINGE_PAIRS = tuple((i, j) for i in range(4) for j in range(4) if {i, j} != {2, 3})
 """Pairs of a hinge's vertices that have a block: all but the two opposite ones, which share no edge (see `bending`)."""
 
@@ -48,6 +50,8 @@ class Cloth:
     """Flat slot (row · K + slot) of each face's 3 x 3 blocks."""
     hinge_slots: Int[ArrayLike, "H 14"]
     """Flat slot of each hinge's blocks, in the order of `HINGE_PAIRS`."""
+    patches: Patches
+    """For the linear solver."""
 
 
 def build_cloth(
@@ -119,7 +123,15 @@ def build_cloth(
         neighbours=jnp.asarray(neighbours),
         face_slots=pad_index(face_slots, padded_f),
         hinge_slots=pad_index(hinge_slots, padded_h),
+        patches=_patches(np.asarray(faces), np.asarray(uv, float), np.asarray(faces_uv), num_vertices, padded_v),
     )
+
+
+def _patches(faces: np.ndarray, uv: np.ndarray, faces_uv: np.ndarray, num_vertices: int, padded: int) -> Patches:
+    """Patches by flat place; a vertex on a seam counts to one of its panels."""
+    corner = np.zeros(num_vertices, int)
+    corner[faces.ravel()] = faces_uv.ravel()
+    return make_patches(uv[corner], components(faces_uv, len(uv))[1][corner], padded)
 
 
 def _check_orientation(left: np.ndarray, faces_uv: np.ndarray, num_uv: int) -> None:
@@ -157,7 +169,7 @@ def _sparsity(faces: np.ndarray, hinges: np.ndarray, size: int) -> tuple[np.ndar
     row_of = keys // (size + 1)
     starts = np.searchsorted(row_of, diagonal)
     degree = np.diff(np.append(starts, len(keys)))
-    slots = max(MIN_SLOTS, int(degree.max()))
+    slots = MIN_SLOTS + 2 * max(0, -(-(int(degree.max()) - MIN_SLOTS) // 2))
     slot = np.arange(len(keys)) - starts[row_of]
     column = keys % (size + 1) - 1
     neighbours = np.tile(diagonal[:, None], (1, slots))

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from tryon_jax.contact import Surface
 from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stiffness
 from tryon_jax.physics.body_contact import (
+    Contact,
     ContactLaw,
     body_contact,
     friction,
@@ -19,6 +20,7 @@ from tryon_jax.physics.body_contact import (
     normal_hessian,
 )
 from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.coarse import CoarseInverse, invert_coarse
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.linear import conjugate_gradients
 from tryon_jax.physics.self_contact import SelfPairs, self_contact
@@ -91,7 +93,21 @@ def internal_forces(
     return gradient, face_hessian(gradients, strain, s, cloth, fabric), hinge_hessian(weight, slope)
 
 
-def step(
+@pytree
+class _System:
+    """The linear system of a step, and what the step needs once it is solved."""
+
+    blocks: Float[Array, "V K 3 3"]
+    right: Float[Array, "V 3"]
+    gradient: Float[Array, "V 3"]
+    contact: Contact
+    slip: Float[Array, "V 3"]
+    tangent: Float[Array, "V 3 3"]
+    motion: Float[Array, "V 3"]
+    mass: Float[Array, " V"]
+
+
+def _assemble(
     state: ClothState,
     cloth: Cloth,
     fabric: Fabric,
@@ -99,15 +115,8 @@ def step(
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
     pinned: Float[Array, " V"],
-    pairs: SelfPairs | None = None,
-) -> tuple[ClothState, StepReport]:
-    """One implicit step.
-
-    Args:
-        surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
-        pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
-        pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
-    """
+    pairs: SelfPairs | None,
+) -> _System:
     dtype = state.x.dtype
     h = jnp.asarray(settings.time_step, dtype)
     count, slots = cloth.neighbours.shape
@@ -139,27 +148,54 @@ def step(
     motion = jnp.einsum("vk,vkc->vc", contact.point.barycentric[:count], surface_motion[corners])
     drag = grip[:, None] * (tangent * motion[:, None, :]).sum(-1)
     right = (mass / h * settings.retention)[:, None] * state.velocity - gradient + drag
+    right = right * cloth.active[:, None]
+    return _System(blocks, right, gradient, contact, slip, tangent, motion, mass)
+
+
+def step(
+    state: ClothState,
+    cloth: Cloth,
+    fabric: Fabric,
+    surface: Surface,
+    settings: SolverSettings,
+    surface_motion: Float[Array, "W 3"],
+    pinned: Float[Array, " V"],
+    pairs: SelfPairs | None = None,
+    coarse: CoarseInverse | None = None,
+) -> tuple[ClothState, StepReport]:
+    """One implicit step.
+
+    Args:
+        surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
+        pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
+        coarse: helps the linear solver.
+    """
+    dtype = state.x.dtype
+    system = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
+    contact, mass = system.contact, system.mass
     move, iterations = conjugate_gradients(
-        blocks,
+        system.blocks,
         jnp.asarray(cloth.neighbours),
-        jnp.asarray(right * cloth.active[:, None]),
+        jnp.asarray(system.right),
         jnp.asarray(settings.linear_tolerance, dtype),
         jnp.asarray(settings.linear_iterations, jnp.int32),
+        coarse,
     )
     length = jnp.sqrt((move * move).sum(-1) + 1e-20)
     move = move * jnp.minimum(1.0, settings.max_move / length)[:, None]
-    dragged = (tangent * (move - motion)[:, None, :]).sum(-1)
+    dragged = (system.tangent * (move - system.motion)[:, None, :]).sum(-1)
     new = ClothState(
         x=state.x + move,
-        velocity=move / h,
-        slip=jnp.where((contact.load > 0)[:, None], slip + dragged, 0.0),
+        velocity=move / jnp.asarray(settings.time_step, dtype),
+        slip=jnp.where((contact.load > 0)[:, None], system.slip + dragged, 0.0),
         face=contact.point.face,
     )
     free = (cloth.active * (pinned == 0))[:, None]
     scale = jnp.linalg.norm(mass * GRAVITY * cloth.active) + jnp.linalg.norm(contact.load)
     shape_weight = jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     report = StepReport(
-        residual=jnp.linalg.norm(gradient * free) / scale,
+        residual=jnp.linalg.norm(system.gradient * free) / scale,
         move=jnp.sqrt((move * move * cloth.active[:, None]).sum() / cloth.active.sum()),
         depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.distance, -1.0)),
         steps=jnp.ones((), jnp.int32),
@@ -182,11 +218,17 @@ def solve(
 ) -> tuple[ClothState, StepReport]:
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
+    The coarse half of the preconditioner is that of the first step.
     `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
     """
     zero = jnp.zeros((), jnp.int32)
     unknown = jnp.asarray(jnp.inf, state.x.dtype)
     start = StepReport(unknown, unknown, unknown, zero, zero)
+    coarse = None
+    # Layers that touch make a fold sensitive to the last digits of each step; it keeps the solver it was tested with.
+    if pairs is None:
+        first = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
+        coarse = invert_coarse(first.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
 
     def running(carry: tuple[ClothState, StepReport, Float[Array, "W 3"]]) -> Bool[Array, ""]:
         _, report, _ = carry
@@ -196,7 +238,7 @@ def solve(
         carry: tuple[ClothState, StepReport, Float[Array, "W 3"]],
     ) -> tuple[ClothState, StepReport, Float[Array, "W 3"]]:
         state, before, motion = carry
-        state, report = step(state, cloth, fabric, surface, settings, motion, pinned, pairs)
+        state, report = step(state, cloth, fabric, surface, settings, motion, pinned, pairs, coarse)
         total = StepReport(
             report.residual,
             report.move,
