@@ -29,6 +29,8 @@ from tryon_jax.types import ArrayLike, Scalar, pytree
 
 GRAVITY = 9.81
 """m/s², along −y."""
+COARSE_STEPS = 10
+"""Steps for which a coarse correction serves: less than cloth needs to turn away from it."""
 
 
 @pytree
@@ -148,8 +150,8 @@ def _assemble(
     motion = jnp.einsum("vk,vkc->vc", contact.point.barycentric[:count], surface_motion[corners])
     drag = grip[:, None] * (tangent * motion[:, None, :]).sum(-1)
     right = (mass / h * settings.retention)[:, None] * state.velocity - gradient + drag
-    right = right * cloth.active[:, None]
-    return _System(blocks, right, gradient, contact, slip, tangent, motion, mass)
+    right = jnp.asarray(right * cloth.active[:, None])
+    return _System(blocks, right, gradient, contact, slip, tangent, motion, jnp.asarray(mass))
 
 
 def step(
@@ -177,7 +179,7 @@ def step(
     move, iterations = conjugate_gradients(
         system.blocks,
         jnp.asarray(cloth.neighbours),
-        jnp.asarray(system.right),
+        system.right,
         jnp.asarray(settings.linear_tolerance, dtype),
         jnp.asarray(settings.linear_iterations, jnp.int32),
         coarse,
@@ -204,6 +206,9 @@ def step(
     return new, report
 
 
+_Progress = tuple[ClothState, StepReport, Float[Array, "W 3"]]
+
+
 def solve(
     state: ClothState,
     cloth: Cloth,
@@ -218,25 +223,18 @@ def solve(
 ) -> tuple[ClothState, StepReport]:
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
-    The coarse half of the preconditioner is that of the first step.
+    The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps.
     `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
     """
     zero = jnp.zeros((), jnp.int32)
     unknown = jnp.asarray(jnp.inf, state.x.dtype)
     start = StepReport(unknown, unknown, unknown, zero, zero)
-    coarse = None
-    # Layers that touch make a fold sensitive to the last digits of each step; it keeps the solver it was tested with.
-    if pairs is None:
-        first = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
-        coarse = invert_coarse(first.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
 
-    def running(carry: tuple[ClothState, StepReport, Float[Array, "W 3"]]) -> Bool[Array, ""]:
+    def running(carry: _Progress) -> Bool[Array, ""]:
         _, report, _ = carry
         return (report.residual > tolerance) & (report.steps < max_steps)
 
-    def advance(
-        carry: tuple[ClothState, StepReport, Float[Array, "W 3"]],
-    ) -> tuple[ClothState, StepReport, Float[Array, "W 3"]]:
+    def advance(carry: _Progress, coarse: CoarseInverse | None) -> _Progress:
         state, before, motion = carry
         state, report = step(state, cloth, fabric, surface, settings, motion, pinned, pairs, coarse)
         total = StepReport(
@@ -248,5 +246,14 @@ def solve(
         )
         return state, total, jnp.zeros_like(motion)
 
-    state, report, _ = jax.lax.while_loop(running, advance, (state, start, surface_motion))
+    def some_steps(carry: _Progress) -> _Progress:
+        state, before, motion = carry
+        system = _assemble(state, cloth, fabric, surface, settings, motion, pinned, pairs)
+        coarse = invert_coarse(system.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
+        until = before.steps + COARSE_STEPS
+        return jax.lax.while_loop(lambda c: running(c) & (c[1].steps < until), lambda c: advance(c, coarse), carry)
+
+    # Layers that touch make a fold sensitive to the last digits of each step; it keeps the solver it was tested with.
+    body = some_steps if pairs is None else lambda carry: advance(carry, None)
+    state, report, _ = jax.lax.while_loop(running, body, (state, start, surface_motion))
     return state, report
