@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from tryon_jax.checks import check_finite
 from tryon_jax.mesh.topology import components
 from tryon_jax.mesh.topology import hinges as find_hinges
-from tryon_jax.physics.coarse import Patches, make_patches
+from tryon_jax.physics.patches import Patches, make_patches
 from tryon_jax.types import ArrayLike, pytree
 
 BUCKET = 512
