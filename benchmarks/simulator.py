@@ -164,8 +164,8 @@ def main(config: Config) -> None:
     if scenes:
         print("\n" + table(scenes))
     note = (
-        "ARCSim 0.2.1 without remeshing, one thread, steps of 5 ms: measured on another day, on a machine of the same "
+        "ARCSim 0.2.1 without remeshing, one thread, steps of 5 ms: measured once, on another day and not on this "
+        f"machine. Load average at the end of this run: {os.getloadavg()[0]:.1f}."
     )
-    note += f"kind. Load average at the end of this run: {os.getloadavg()[0]:.1f}."
     if config.save:
         print(f"\nwrote {write_record('simulator', config, [*shapes, *scenes], note=note)}")
