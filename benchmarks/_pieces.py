@@ -1,21 +1,17 @@
 """A comparison in pieces: what a device's record holds already, and whether it may be continued."""
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 SAME = ("device", "cpu_cores", "python", "tryon_jax", "jax", "jaxlib", "numpy", "scipy")
 """What must not have changed since a record was begun."""
-FREE = ("minutes", "out", "resume", "max_call_seconds", "max_gigabytes")
+LIMITS = ("max_call_seconds", "max_gigabytes")
+"""Options that keep cells out; a skipped cell says in `needs` what would let it in."""
+FREE = ("minutes", "out", "resume", *LIMITS)
 """Options that may differ from piece to piece."""
 _OVER = "minutes were over"
-LIMITS = {
-    "max_call_seconds": re.compile(r"one call would take about ([\d.]+) s"),
-    "max_gigabytes": re.compile(r"it would need about ([\d.]+) GB"),
-}
-"""The option that lets a skipped cell in, and what is recorded of the cell."""
 
 
 def cut_off(minutes: float) -> dict[str, str]:
@@ -23,22 +19,22 @@ def cut_off(minutes: float) -> dict[str, str]:
     return {"skipped": f"the {minutes:g} {_OVER}"}
 
 
-def too_long(seconds: float) -> dict[str, str]:
-    """What is recorded of a cell whose single call takes more than `max_call_seconds`."""
-    return {"skipped": f"one call would take about {seconds:.1f} s"}
+def too_long(seconds: float, limit: float) -> dict[str, Any]:
+    """What is recorded of a cell whose call takes so long, and the `max_call_seconds` that admits it."""
+    return {"skipped": f"one call would take about {seconds:.1f} s", "needs": {"max_call_seconds": limit}}
 
 
-def too_large(gigabytes: float) -> dict[str, str]:
+def too_large(gigabytes: float) -> dict[str, Any]:
     """What is recorded of a cell that takes more than `max_gigabytes`."""
-    return {"skipped": f"it would need about {gigabytes:.1f} GB"}
+    return {"skipped": f"it would need about {gigabytes:.1f} GB", "needs": {"max_gigabytes": gigabytes}}
 
 
 def measured(cell: Mapping[str, Any], options: Mapping[str, Any]) -> bool:
     """Whether a recorded cell is settled: timed, or skipped for a reason that neither time nor `options` mend."""
-    reason = str(cell.get("skipped", ""))
-    needs = {name: pattern.fullmatch(reason) for name, pattern in LIMITS.items()}
-    within = any(found and float(found[1]) <= options[name] for name, found in needs.items())
-    return not (within or reason.endswith(_OVER))
+    if "skipped" not in cell:
+        return True
+    let_in = any(least <= options[name] for name, least in cell.get("needs", {}).items())
+    return not (let_in or cell["skipped"].endswith(_OVER))
 
 
 def read_begun(path: Path, options: Mapping[str, Any], surroundings: Mapping[str, Any]) -> dict[str, Any] | None:

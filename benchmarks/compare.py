@@ -189,7 +189,7 @@ def measure_cell(cell: Cell, config: Config, ceilings: Ceilings) -> dict[str, An
     work = SUBJECTS[cell.subject](cell)
     predicted = 3 * ceilings.floor(work.flops, work.moved, cell.precision)
     if predicted > config.max_call_seconds:
-        return entry | too_long(predicted)
+        return entry | too_long(predicted, predicted)
     with counting_compilations() as compiling:
         start = time.perf_counter()
         with jax.default_matmul_precision(PRECISIONS[cell.precision][1]):
@@ -236,7 +236,7 @@ def measure_equilibrium(cell: Cell, config: Config, ceilings: Ceilings) -> dict[
     rows, slots = cell.vertices * 1.1, 12
     predicted = 3 * _simulation.CG_ITERATIONS * 30 * 1e-9 * rows * slots * 40 / ceilings.bandwidth
     if predicted > config.max_call_seconds * 2:
-        return too_long(predicted)
+        return too_long(predicted, predicted / 2)
     with counting_compilations() as compiling:
         start = time.perf_counter()
         work = _simulation.FullEquilibrium(cell)

@@ -204,7 +204,8 @@ def test_larger_limits_let_in_what_was_too_much(tmp_path, monkeypatch):
     def measure(cell, config, ceilings):
         calls.append(cell)
         if len(calls) <= 3:
-            return dataclasses.asdict(cell) | too_long(next(seconds))
+            needed = next(seconds)
+            return dataclasses.asdict(cell) | too_long(needed, needed)
         return dataclasses.asdict(cell) | summary([0.001] * 3, 1, None) | {"beside": {}}
 
     monkeypatch.setattr(compare, "measure_cell", measure)

@@ -248,6 +248,7 @@ def solve(
 
     def some_steps(carry: _Progress) -> _Progress:
         state, before, motion = carry
+        # The first step assembles the same once more: a second copy of the step would double what is compiled.
         system = _assemble(state, cloth, fabric, surface, settings, motion, pinned, pairs)
         coarse = invert_coarse(system.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
         until = before.steps + COARSE_STEPS
