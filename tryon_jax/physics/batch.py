@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from tryon_jax.contact import Surface, closest_faces, move_surface, nearest_vertices
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth
-from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, start_state, weightless
+from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, start_state, weightless
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
 
@@ -141,6 +141,7 @@ def dress_many(
     Raises:
         ValueError: the cloths are of different buckets.
     """
+    settings = closing(settings)
     shape = np.asarray(betas, float)
     surface = obstacle.surface(shape)
     states = stack([start_state(start, cloth, surface) for start, cloth in zip(starts, cloths, strict=True)])

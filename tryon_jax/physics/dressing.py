@@ -113,6 +113,7 @@ def dress(
     Raises:
         Diverged: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
     """
+    settings = closing(settings)
     shape = np.asarray(betas, float)
     surface = obstacle.surface(shape)
     drape = Drape(start_state(start, cloth, surface), shape, surface, _no_report(), len(start))
@@ -167,6 +168,11 @@ def start_state(start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface)
     x[: len(start)] = start
     x = jnp.asarray(x)
     return ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), _faces(surface, x, cloth))
+
+
+def closing(settings: SolverSettings) -> SolverSettings:
+    """Settings of dressing: patches moved as wholes push layers through each other while seams close."""
+    return replace(settings, coarse=0.0)
 
 
 def weightless(settings: SolverSettings) -> SolverSettings:

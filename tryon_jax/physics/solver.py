@@ -5,6 +5,8 @@ spirit). With `retention` 0 a step forgets its velocity and the iteration is a r
 equilibrium; with 1 it is dynamics.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -51,6 +53,8 @@ class SolverSettings:
     """Relative residual of the linear solve."""
     linear_iterations: int | Int[ArrayLike, ""] = 300
     law: ContactLaw = ContactLaw()
+    coarse: Scalar = 1.0
+    """Share of the coarse correction in the preconditioner; 0 leaves the diagonal blocks alone."""
 
 
 @pytree
@@ -251,6 +255,7 @@ def solve(
         # The first step assembles the same once more: a second copy of the step would double what is compiled.
         system = _assemble(state, cloth, fabric, surface, settings, motion, pinned, pairs)
         coarse = invert_coarse(system.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
+        coarse = replace(coarse, inverse=coarse.inverse * settings.coarse)
         until = before.steps + COARSE_STEPS
         return jax.lax.while_loop(lambda c: running(c) & (c[1].steps < until), lambda c: advance(c, coarse), carry)
 
