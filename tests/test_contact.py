@@ -172,3 +172,18 @@ def test_distance_has_the_normal_as_gradient(x64: None) -> None:
     gradient = np.asarray(jax.grad(total)(points))
     outward = np.asarray(points) / np.linalg.norm(np.asarray(points), axis=1, keepdims=True)
     np.testing.assert_allclose(gradient, outward, atol=0.05)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_nearest_vertices_by_tree_and_by_force(backend: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is computed on a GPU is computed here too, when the backend is said to be one."""
+    surface = sphere(subdivisions=3, dtype=np.float32)
+    vertices = np.asarray(surface.vertices)
+    points = np.random.default_rng(0).normal(size=(5000, 3)).astype(np.float32)
+    expected = np.linalg.norm(points[:, None] - vertices[None], axis=2).min(axis=1)
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    found = np.asarray(nearest_vertices(surface, points))
+    np.testing.assert_allclose(np.linalg.norm(points - vertices[found], axis=1), expected, atol=1e-5)
+    # What has left the numbers is near nothing; it must not stop the others.
+    lost = np.where(np.arange(5000)[:, None] < 3, np.nan, points)
+    np.testing.assert_array_equal(np.asarray(nearest_vertices(surface, lost))[3:], found[3:])

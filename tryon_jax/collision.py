@@ -5,8 +5,8 @@ The closest body vertex is found by walking: each garment vertex starts at the b
 mean body and moves to the closest of that vertex's listed neighbours, a fixed number of times. Lists are made once
 per body on the host. A flag says which walks had not come to rest; one at rest can still be in a local minimum, which
 on simulated garments and shaken positions happened to at most 1.5 % of the vertices, and to none within 1 cm of the
-skin, where alone it could change the loss. Brute force in blocks, several hundred times as expensive, is there to
-check against.
+skin, where alone it could change the loss. Brute force (`contact.closest_vertices_exact`), several hundred times as
+expensive, is there to check against.
 """
 
 import jax
@@ -66,22 +66,6 @@ def closest_vertices(
 
     vertex, rested = jax.lax.scan(step, jnp.asarray(start, lists.dtype), None, length=steps)
     return vertex, rested[-1]
-
-
-def closest_vertices_exact(
-    body_vertices: Float[Array, "B 3"], points: Float[Array, "N 3"], block: int = 256
-) -> Int[Array, " N"]:
-    """Index of the closest body vertex by trying all of them, `block` points at a time."""
-    body_vertices, points = jax.lax.stop_gradient((body_vertices, points))
-    count = points.shape[0]
-    padded = jnp.pad(points, ((0, -count % block), (0, 0)))
-    squared = (body_vertices**2).sum(-1)
-
-    def nearest(some: Float[Array, "block 3"]) -> Int[Array, " block"]:
-        product = jnp.matmul(some, body_vertices.T, precision=jax.lax.Precision.HIGHEST)
-        return jnp.argmin(squared[None, :] - 2.0 * product, axis=1)
-
-    return jax.lax.map(nearest, padded.reshape(-1, block, 3)).reshape(-1)[:count]
 
 
 def collision_depths(

@@ -5,6 +5,9 @@ point is then followed from face to face, which is exact as long as points move 
 between two calls.
 """
 
+from functools import partial
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -12,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.body.normals import vertex_normals
 from tryon_jax.mesh.topology import directed_edges, edge_keys
-from tryon_jax.types import ArrayLike, pytree
+from tryon_jax.types import EXACT, ArrayLike, pytree
 
 
 @pytree
@@ -82,9 +85,31 @@ def move_surface(surface: Surface, vertices: Float[Array, "V 3"]) -> Surface:
     return Surface(vertices, normals, surface.faces, surface.adjacent_faces, surface.vertex_faces)
 
 
-def nearest_vertices(surface: Surface, points: Float[ArrayLike, "P 3"]) -> Int[np.ndarray, " P"]:
-    """Index of the surface vertex nearest to each point, on the host by a k-d tree."""
-    return cKDTree(np.asarray(surface.vertices)).query(np.asarray(points))[1].astype(np.int32)
+def nearest_vertices(surface: Surface, points: Float[ArrayLike, "P 3"]) -> Int[ArrayLike, " P"]:
+    """Index of the surface vertex nearest to each point: by a k-d tree on the host, or by brute force on a GPU, which
+    has tried them all before the points have come to the host."""
+    if jax.default_backend() == "cpu":
+        return cKDTree(np.asarray(surface.vertices)).query(np.nan_to_num(points))[1].astype(np.int32)
+    return _closest_vertices(jnp.asarray(surface.vertices), jnp.asarray(points))
+
+
+def closest_vertices_exact(
+    body_vertices: Float[Array, "B 3"], points: Float[Array, "N 3"], block: int = 256
+) -> Int[Array, " N"]:
+    """Index of the closest body vertex by trying all of them, `block` points at a time; jittable."""
+    body_vertices, points = jax.lax.stop_gradient((body_vertices, points))
+    count = points.shape[0]
+    padded = jnp.pad(points, ((0, -count % block), (0, 0)))
+    squared = (body_vertices**2).sum(-1)
+
+    def nearest(some: Float[Array, "block 3"]) -> Int[Array, " block"]:
+        product = jnp.matmul(some, body_vertices.T, precision=EXACT)
+        return jnp.argmin(squared[None, :] - 2.0 * product, axis=1)
+
+    return jax.lax.map(nearest, padded.reshape(-1, block, 3)).reshape(-1)[:count]
+
+
+_closest_vertices = jax.jit(partial(closest_vertices_exact, block=4096))
 
 
 def closest_point_on_triangle(
@@ -123,7 +148,7 @@ def closest_faces(surface: Surface, points: Float[Array, "P 3"], vertex: Int[Arr
     weights = closest_point_on_triangle(
         jnp.broadcast_to(p, corners.shape[:2] + (3,)), corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
     )
-    distance = ((p - jnp.einsum("prk,prkc->prc", weights, corners)) ** 2).sum(-1)
+    distance = ((p - jnp.einsum("prk,prkc->prc", weights, corners, precision=EXACT)) ** 2).sum(-1)
     return jnp.take_along_axis(ring, jnp.argmin(distance, axis=1)[:, None], axis=1)[:, 0]
 
 
@@ -138,7 +163,7 @@ def follow_faces(
     def project(at):
         corners = surface.vertices[surface.faces[at]]
         weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])
-        return weights, ((points - jnp.einsum("pk,pkc->pc", weights, corners)) ** 2).sum(-1)
+        return weights, ((points - jnp.einsum("pk,pkc->pc", weights, corners, precision=EXACT)) ** 2).sum(-1)
 
     weights, distance = project(face)
     for _ in range(hops):
@@ -159,14 +184,14 @@ def point_on_faces(surface: Surface, points: Float[Array, "P 3"], face: Int[Arra
     index = surface.faces[face]
     corners, normals = surface.vertices[index], surface.normals[index]
     weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])
-    position = jnp.einsum("pk,pkc->pc", weights, corners)
-    normal = jnp.einsum("pk,pkc->pc", weights, normals)
+    position = jnp.einsum("pk,pkc->pc", weights, corners, precision=EXACT)
+    normal = jnp.einsum("pk,pkc->pc", weights, normals, precision=EXACT)
     normal = normal / (jnp.linalg.norm(normal, axis=1, keepdims=True) + 1e-20)
     return SurfacePoint(position, normal, _dot(points - position, normal), face, weights)
 
 
 def closest_points(surface: Surface, points: Float[ArrayLike, "P 3"]) -> SurfacePoint:
-    """Closest points and signed distances of any points, found on the host (k-d tree) and refined on the device."""
+    """Closest points and signed distances of any points, found among all vertices and refined on the faces."""
     at = jnp.asarray(points)
     return point_on_faces(surface, at, closest_faces(surface, at, nearest_vertices(surface, points)))
 

@@ -15,6 +15,8 @@ from jaxtyping import Float, Int
 ArrayLike: TypeAlias = jax.Array | np.ndarray
 Scalar: TypeAlias = float | Float[ArrayLike, ""]
 """A number that may be traced: a leaf of settings inside a jitted function."""
+EXACT = jax.lax.Precision.HIGHEST
+"""For products of positions: matrix units that round to ten bits would move a hand by half a millimetre."""
 
 
 def static(**kwargs: Any) -> Any:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from tryon_jax.body.landmarks import GIRTHS, POINTS, Landmarks, load_landmarks
-from tryon_jax.body.shape import EXACT, shape_body
+from tryon_jax.body.shape import shape_body
 from tryon_jax.checks import check_choice, check_range
-from tryon_jax.types import ArrayLike, Body
+from tryon_jax.types import EXACT, ArrayLike, Body
 
 
 @dataclass(frozen=True)

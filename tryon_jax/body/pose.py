@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from tryon_jax.body.shape import EXACT, shape_body
-from tryon_jax.types import ArrayLike, Body
+from tryon_jax.body.shape import shape_body
+from tryon_jax.types import EXACT, ArrayLike, Body
 
 
 def rotation_matrix(axis_angle: Float[ArrayLike, "3"]) -> Float[Array, "3 3"]:

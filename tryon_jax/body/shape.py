@@ -1,16 +1,12 @@
 """Shape of a body: betas to vertices and joints (Loper et al. 2015, equations 8 and 10)."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike as AnyArrayLike
 
 from tryon_jax.checks import check_finite
-from tryon_jax.types import ArrayLike, Body
-
-# Shape is a sum of ten millimetre-sized terms: reduced-precision matrix units would add visible noise to the skin.
-EXACT = jax.lax.Precision.HIGHEST
+from tryon_jax.types import EXACT, ArrayLike, Body
 
 MAX_BETA = 5.0
 """Largest deviation from the mean that is taken for a wish and not for a mistake, standard deviations."""

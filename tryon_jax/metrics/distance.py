@@ -13,6 +13,7 @@ from tryon_jax.body.normals import vertex_normals
 from tryon_jax.checks import check_finite, check_range
 from tryon_jax.contact import closest_point_on_triangle
 from tryon_jax.mesh.quality import edge_lengths
+from tryon_jax.types import EXACT
 
 SPACING = 4e-3
 """Distance between samples of a surface, metres."""
@@ -156,5 +157,5 @@ def _project(
 def _nearest_to_origin(corners: Float[jax.Array, "P K 3 3"]) -> Float[jax.Array, " P"]:
     a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
     weights = closest_point_on_triangle(jnp.zeros_like(a), a, b, c)
-    closest = jnp.einsum("pkw,pkwc->pkc", weights, corners)
+    closest = jnp.einsum("pkw,pkwc->pkc", weights, corners, precision=EXACT)
     return jnp.sqrt((closest * closest).sum(-1).min(axis=1))

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from tryon_jax.types import ArrayLike, pytree
+from tryon_jax.types import EXACT, ArrayLike, pytree
 
 
 @pytree
@@ -32,7 +32,7 @@ def apply_mlp(params: MLP, inputs: Float[Array, "*batch i"]) -> Float[Array, "*b
     hidden = inputs
     for i, (weight, bias) in enumerate(zip(params.weights, params.biases, strict=True)):
         bias = jnp.asarray(bias)
-        hidden = hidden @ weight + bias.reshape((1,) * (hidden.ndim - 1) + bias.shape)
+        hidden = jnp.matmul(hidden, weight, precision=EXACT) + bias.reshape((1,) * (hidden.ndim - 1) + bias.shape)
         if i + 1 < len(params.weights):
             hidden = jnp.tanh(hidden)
     return hidden

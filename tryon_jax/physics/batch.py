@@ -212,8 +212,7 @@ def _settle_many(
         if not most.any():
             break
         points = _sample_many(states, cloths)
-        pairs = zip(lanes.surfaces, np.asarray(points), strict=True)
-        vertex = jnp.asarray(np.stack([nearest_vertices(s, np.nan_to_num(p)) for s, p in pairs]))
+        vertex = jnp.stack([jnp.asarray(nearest_vertices(*pair)) for pair in zip(lanes.surfaces, points, strict=True)])
         states = replace(states, face=_faces_many(surface, bodies, points, vertex))
         steps = jnp.asarray(most, jnp.int32)
         states, report = solve_many(states, cloths, fabrics, surface, bodies, settings, motions, goal, steps)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tryon_jax.physics.patches import Patches
-from tryon_jax.types import pytree
+from tryon_jax.types import EXACT, pytree
 
 RIDGE = 1e-5
 """Added to the coarse diagonal, relative to it: what single precision needs to invert a loose garment's matrix."""
@@ -43,5 +43,5 @@ def coarse_correction(coarse: CoarseInverse, residual: Float[Array, "3 V"]) -> F
     count = inverse.shape[1]
     members, patch = jnp.asarray(coarse.patches.members), jnp.asarray(coarse.patches.patch)
     forces = residual.at[:, members].get(mode="fill", fill_value=0).sum(-1)
-    moves = (inverse.reshape(3 * count, 3 * count) @ forces.reshape(-1)).reshape(3, count)
+    moves = jnp.matmul(inverse.reshape(3 * count, 3 * count), forces.reshape(-1), precision=EXACT).reshape(3, count)
     return moves.at[:, patch].get(mode="fill", fill_value=0)

@@ -43,7 +43,7 @@ class Equilibrium:
     max_steps: int = 120
     """Steps for one body shape at most."""
     refresh: int = 30
-    """Steps after which closest body points are searched anew on the host."""
+    """Steps after which closest body points are searched anew, among all."""
 
 
 class Obstacle:
@@ -181,7 +181,7 @@ def weightless(settings: SolverSettings) -> SolverSettings:
 
 
 def _faces(surface: Surface, x: jnp.ndarray, cloth: Cloth) -> jnp.ndarray:
-    vertex = nearest_vertices(surface, np.asarray(_sample_points(x, cloth)))
+    vertex = nearest_vertices(surface, _sample_points(x, cloth))
     return _closest_faces(surface, x, cloth, vertex)
 
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from tryon_jax.physics.coarse import CoarseInverse, coarse_correction
+from tryon_jax.types import EXACT
 
 
 def multiply(
@@ -58,11 +59,11 @@ def conjugate_gradients(
         """The preconditioned residual, its product with the residual, and that product of the diagonal blocks alone:
         solutions are as exact with a coarse correction as without."""
         z = blockwise(r)
-        size = jnp.vdot(r, z)
+        size = jnp.vdot(r, z, precision=EXACT)
         if coarse is None:
             return z, size, size
         z = z + coarse_correction(coarse, r)
-        return z, jnp.vdot(r, z), size
+        return z, jnp.vdot(r, z, precision=EXACT), size
 
     z, start, size = precondition(right)
     goal = tolerance * tolerance * size
@@ -74,7 +75,7 @@ def conjugate_gradients(
     def iterate(carry):
         iteration, y, r, p, rz, _ = carry
         product = multiply(blocks, neighbours, p)
-        alpha = rz / jnp.vdot(p, product)
+        alpha = rz / jnp.vdot(p, product, precision=EXACT)
         y, r = y + alpha * p, r - alpha * product
         z, new, size = precondition(r)
         return iteration + 1, y, r, z + (new / rz) * p, new, size

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from tryon_jax.contact import closest_point_on_triangle
 from tryon_jax.mesh.topology import unique_edges
 from tryon_jax.physics.body_contact import ContactLaw, pressure
-from tryon_jax.types import ArrayLike, Scalar, pytree
+from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 
 EDGE_MARGIN = 0.5
 """How far beyond a triangle's border, in thicknesses, a vertex still feels it: the corners of a fold stay closed."""
@@ -119,7 +119,7 @@ def self_contact(
     corners = x[pairs.triangle]
     point = x[pairs.vertex]
     closest = closest_point_on_triangle(point, corners[:, 0], corners[:, 1], corners[:, 2])
-    offset = point - jnp.einsum("pk,pkc->pc", closest, corners)
+    offset = point - jnp.einsum("pk,pkc->pc", closest, corners, precision=EXACT)
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = jnp.cross(first, second)
     squared = (normal * normal).sum(-1) + 1e-24

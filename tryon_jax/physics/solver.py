@@ -27,7 +27,7 @@ from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.linear import conjugate_gradients
 from tryon_jax.physics.self_contact import SelfPairs, self_contact
 from tryon_jax.physics.stretch import deformation_gradients, face_gradient, face_hessian, green_strain, stress
-from tryon_jax.types import ArrayLike, Scalar, pytree
+from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 
 GRAVITY = 9.81
 """m/s², along −y."""
@@ -151,7 +151,7 @@ def _assemble(
     blocks = blocks.reshape(count, slots, 3, 3).at[:, 0].add(diagonal)
 
     corners = surface.faces[contact.point.face[:count]]
-    motion = jnp.einsum("vk,vkc->vc", contact.point.barycentric[:count], surface_motion[corners])
+    motion = jnp.einsum("vk,vkc->vc", contact.point.barycentric[:count], surface_motion[corners], precision=EXACT)
     drag = grip[:, None] * (tangent * motion[:, None, :]).sum(-1)
     right = (mass / h * settings.retention)[:, None] * state.velocity - gradient + drag
     right = jnp.asarray(right * cloth.active[:, None])

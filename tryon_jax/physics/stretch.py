@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import GRID, GRID_LOW, Fabric
-from tryon_jax.types import ArrayLike
+from tryon_jax.types import EXACT, ArrayLike
 
 FLOOR = 2.0
 """N/m. Smallest axial and shear stiffness that the tangent assumes: clipped table entries would make it singular."""
@@ -26,7 +26,7 @@ def deformation_gradients(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, 
     """Derivative of position with respect to (u, v) on each face, from edge vectors (exact under translation)."""
     corners = x[cloth.faces]
     edges = corners[:, 1:] - corners[:, :1]
-    return jnp.einsum("fni,fnk->fik", edges, cloth.shape_gradients[:, 1:])
+    return jnp.einsum("fni,fnk->fik", edges, cloth.shape_gradients[:, 1:], precision=EXACT)
 
 
 def green_strain(gradients: Float[Array, "F 3 2"]) -> Float[Array, "F 3"]:

@@ -15,7 +15,7 @@ from tryon_jax.nets.unet import apply_unet
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import Stage, TryOnModel
 from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, report_penetration
-from tryon_jax.types import ArrayLike, pytree
+from tryon_jax.types import EXACT, ArrayLike, pytree
 
 
 @pytree
@@ -109,7 +109,9 @@ def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P
     if garment.template_vertices is None or garment.template_weights is None:
         raise ValueError("this garment is a mesh without a design: its mean drape does not depend on one")
     template = apply_mean_drape(model.mean, jnp.asarray(design))
-    return jnp.einsum("vk,vkc->vc", jnp.asarray(garment.template_weights), template[garment.template_vertices])
+    return jnp.einsum(
+        "vk,vkc->vc", jnp.asarray(garment.template_weights), template[garment.template_vertices], precision=EXACT
+    )
 
 
 def smooth_features(config: TryOnConfig, graph: GarmentGraph, betas: Float[Array, "B b"]) -> Float[Array, "N B i"]:
@@ -177,5 +179,5 @@ def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array
     if own is None:
         return moved
     shift = (moved - mean.reshape((1,) * (moved.ndim - 2) + mean.shape))[..., jnp.asarray(own.carriers), :]
-    carried = jnp.einsum("mk,...mkc->...mc", jnp.asarray(own.weights), shift)
+    carried = jnp.einsum("mk,...mkc->...mc", jnp.asarray(own.weights), shift, precision=EXACT)
     return carried + jnp.asarray(own.vertices).reshape((1,) * (moved.ndim - 2) + own.vertices.shape)
