@@ -12,6 +12,7 @@ LIMITS = ("max_call_seconds", "max_gigabytes")
 FREE = ("minutes", "out", "resume", *LIMITS)
 """Options that may differ from piece to piece."""
 _OVER = "minutes were over"
+_FAILED = "failed: "
 
 
 def cut_off(minutes: float) -> dict[str, str]:
@@ -29,12 +30,17 @@ def too_large(gigabytes: float) -> dict[str, Any]:
     return {"skipped": f"it would need about {gigabytes:.1f} GB", "needs": {"max_gigabytes": gigabytes}}
 
 
+def failed(error: Exception) -> dict[str, str]:
+    """What is recorded of a cell that was wrong or broke off; `--resume` tries it again."""
+    return {"skipped": f"{_FAILED}{str(error).strip().splitlines()[0]}"}
+
+
 def measured(cell: Mapping[str, Any], options: Mapping[str, Any]) -> bool:
     """Whether a recorded cell is settled: timed, or skipped for a reason that neither time nor `options` mend."""
     if "skipped" not in cell:
         return True
     let_in = any(least <= options[name] for name, least in cell.get("needs", {}).items())
-    return not (let_in or cell["skipped"].endswith(_OVER))
+    return not (let_in or cell["skipped"].endswith(_OVER) or cell["skipped"].startswith(_FAILED))
 
 
 def read_begun(path: Path, options: Mapping[str, Any], surroundings: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -33,7 +33,7 @@ from benchmarks._machine import (
     surroundings,
 )
 from benchmarks._networks import dense_floor
-from benchmarks._pieces import LIMITS, cut_off, measured, read_begun, too_large, too_long
+from benchmarks._pieces import LIMITS, cut_off, failed, measured, read_begun, too_large, too_long
 from benchmarks._subjects import Cell, Work, config_of, tryon_model
 from benchmarks.record import RESULTS
 from tryon_jax.atomic import write_text
@@ -332,15 +332,28 @@ def run(config: Config, path: Path) -> dict[str, Any]:
     if open_cells:
         record.setdefault("pieces", []).append(piece)
         record["config"] |= {name: options[name] for name in LIMITS}
+    failures: list[str] = []
     for k in tqdm(open_cells, desc="cells", mininterval=2):
         late = time.monotonic() - began > 60 * config.minutes
-        entries[k] = asdict(cells[k]) | cut_off(config.minutes) if late else measure_cell(cells[k], config, ceilings)
+        if late:
+            entries[k] = asdict(cells[k]) | cut_off(config.minutes)
+        else:
+            start = time.perf_counter()
+            try:
+                entries[k] = measure_cell(cells[k], config, ceilings)
+            except (ValueError, RuntimeError) as error:
+                # One cell that is wrong, or out of memory, must not cost the others; the command fails at its end.
+                entries[k] = asdict(cells[k]) | failed(error)
+                failures.append(f"{cells[k]}: {error}")
+            entries[k]["took_s"] = round(time.perf_counter() - start, 2)
         piece["minutes"] = round((time.monotonic() - began) / 60, 2)
         piece["load_average_after"] = record["load_average_after"] = surroundings()["load_average"]
         record["minutes"] = round(minutes_before + piece["minutes"], 2)
         stats = jax.devices()[0].memory_stats() or {}
         record["device_peak_mb"] = stats.get("peak_bytes_in_use", 0) / 1e6 or None
         write_text(path, json.dumps(record, indent=1, default=_plain) + "\n")
+    if failures:
+        raise RuntimeError(f"{len(failures)} cells failed, the first: {failures[0]}")
     return record
 
 

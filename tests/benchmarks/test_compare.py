@@ -222,6 +222,30 @@ def test_larger_limits_let_in_what_was_too_much(tmp_path, monkeypatch):
     assert not measured(too_large(9.0), {"max_call_seconds": 1.0, "max_gigabytes": 9.0})
 
 
+def test_a_cell_that_fails_costs_no_other_and_is_tried_again(tmp_path, monkeypatch):
+    calls = []
+
+    def measure(cell, config, ceilings):
+        calls.append(cell)
+        if len(calls) == 2:
+            raise RuntimeError("out of memory\nat great length")
+        return dataclasses.asdict(cell) | summary([0.001] * 3, 1, None) | {"beside": {}}
+
+    monkeypatch.setattr(compare, "measure_cell", measure)
+    config = Config(subjects=("Laplacian product",), quick=True, out=tmp_path)
+    with pytest.raises(RuntimeError, match=r"1 cells failed, the first: .*out of memory"):
+        main(config)
+    [path] = tmp_path.glob("*.json")
+    assert [cell.get("skipped") for cell in json.loads(path.read_text())["cells"]] == [
+        None,
+        "failed: out of memory",
+        None,
+    ]
+    main(dataclasses.replace(config, resume=True))
+    assert calls[3:] == [plan(config)[1]]
+    assert all("ms" in cell for cell in json.loads(path.read_text())["cells"])
+
+
 def record_of(platform: str, name: str, factor: float) -> dict:
     """A record as `compare` writes it, with known numbers."""
 
