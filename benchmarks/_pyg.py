@@ -1,4 +1,7 @@
-"""The same two U-Nets in PyTorch Geometric: its ChebConv with the same weights, pooling by sparse matrices."""
+"""The same two U-Nets in PyTorch Geometric: its ChebConv with the same weights, pooling by sparse matrices.
+
+On the device that JAX uses, where PyTorch can.
+"""
 
 from collections.abc import Callable
 from functools import partial
@@ -13,6 +16,25 @@ from tryon_jax.graph import SparseOperator
 from tryon_jax.graph.smoothing import smooth
 from tryon_jax.nets import UNet
 from tryon_jax.tryon import Garment, TryOnModel
+
+
+def _device() -> torch.device:
+    on_card = jax.devices()[0].platform == "gpu" and torch.cuda.is_available()
+    return torch.device("cuda" if on_card else "cpu")
+
+
+def _run_there(function: Callable[[], torch.Tensor]) -> Callable[[], torch.Tensor]:
+    """A call of the function on the device, which returns when that has done its work."""
+    device = _device()
+
+    def run() -> torch.Tensor:
+        with torch.no_grad(), device:
+            result = function()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+        return result
+
+    return run
 
 
 def _sparse(operator: SparseOperator, rows: int, columns: int) -> torch.Tensor:
@@ -81,15 +103,11 @@ def peer_layer(params: Any, laplacian: SparseOperator, features: np.ndarray) -> 
     """A call of one ChebConv with the same weights on features [N, B, i]."""
     matrix = laplacian.to_bcoo()
     index, data = np.asarray(matrix.indices), np.asarray(matrix.data)
-    edges = torch.tensor(index[index[:, 0] != index[:, 1]].T.astype(np.int64))
-    bound = torch.tensor(2.0 / (1.0 + float(data[index[:, 0] == index[:, 1]].max())))
-    conv, x = _conv(params), torch.tensor(np.moveaxis(features, 0, 1).copy())
-
-    def run() -> torch.Tensor:
-        with torch.no_grad():
-            return conv(x, edges, lambda_max=bound)
-
-    return run
+    with _device():
+        edges = torch.tensor(index[index[:, 0] != index[:, 1]].T.astype(np.int64))
+        bound = torch.tensor(2.0 / (1.0 + float(data[index[:, 0] == index[:, 1]].max())))
+        conv, x = _conv(params), torch.tensor(np.moveaxis(features, 0, 1).copy())
+    return _run_there(lambda: conv(x, edges, lambda_max=bound))
 
 
 def _conv(params: Any) -> ChebConv:
@@ -110,6 +128,11 @@ def _apply(matrix: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
 
 def peer(model: TryOnModel, garment: Garment, betas: jax.Array) -> Callable[[], Any]:
     """A call that drapes in PyTorch Geometric with the same weights."""
+    with _device():
+        return _run_there(_drape(model, garment, betas))
+
+
+def _drape(model: TryOnModel, garment: Garment, betas: jax.Array) -> Callable[[], torch.Tensor]:
     config, count = model.config, garment.num_vertices
     fabric = config.fabrics[0]
     fine_stage = model.fine[fabric]
@@ -128,19 +151,18 @@ def peer(model: TryOnModel, garment: Garment, betas: jax.Array) -> Callable[[], 
     by_shape = shapes[:, None, :].expand(-1, count, -1) / config.beta_scale
 
     def run() -> torch.Tensor:
-        with torch.no_grad():
-            x = torch.cat([spread(vertices / config.position_scale), spread(weights), by_shape], dim=-1)
-            smoothed = base + scales[0] * smooth_net(x)
-            parts = [smoothed / config.position_scale, spread(weights)]
-            parts += [by_shape] if config.fine_betas else []
-            parts += [spread(detail / config.detail_scale)] if config.fine_detail else []
-            fine = smoothed + scales[1] * fine_net(torch.cat(parts, dim=-1))
-            return fine + detail if config.reference == "smoothed" else fine
+        x = torch.cat([spread(vertices / config.position_scale), spread(weights), by_shape], dim=-1)
+        smoothed = base + scales[0] * smooth_net(x)
+        parts = [smoothed / config.position_scale, spread(weights)]
+        parts += [by_shape] if config.fine_betas else []
+        parts += [spread(detail / config.detail_scale)] if config.fine_detail else []
+        fine = smoothed + scales[1] * fine_net(torch.cat(parts, dim=-1))
+        return fine + detail if config.reference == "smoothed" else fine
 
     return run
 
 
 def difference(run: Callable[[], Any], ours: jax.Array) -> float:
     """Largest difference of a peer's drape from the library's, metres."""
-    theirs = run().numpy()
+    theirs = run().cpu().numpy()
     return float(np.abs(np.asarray(ours)[:, : theirs.shape[1]] - theirs).max())

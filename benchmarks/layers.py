@@ -90,6 +90,8 @@ def products(config: Config) -> list[dict[str, Any]]:
     for vertices in config.vertices:
         operator = garment_of_size(SMALL, vertices).graph.levels[0].laplacian
         bcoo = operator.to_bcoo()
+        # Else each call would carry it to the device.
+        operator = jax.device_put(operator)
         index = np.asarray(bcoo.indices)
         csr = sp.coo_array((np.asarray(bcoo.data), (index[:, 0], index[:, 1])), shape=bcoo.shape).tocsr()
         for columns in config.columns:
@@ -117,7 +119,7 @@ def convolutions(config: Config) -> list[dict[str, Any]]:
     """Forward and gradient of one convolution beside its dense products alone."""
     rows = []
     for vertices in config.vertices:
-        operator = garment_of_size(SMALL, vertices).graph.levels[0].laplacian
+        operator = jax.device_put(garment_of_size(SMALL, vertices).graph.levels[0].laplacian)
         nodes = operator.shape[0]
         for width in config.features:
             params = init_cheb_conv(jax.random.key(0), config.order, width, width)

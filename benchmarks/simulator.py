@@ -23,7 +23,7 @@ from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, sweep
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.solver import SolverSettings
-from tryon_jax.training.protocol import make_protocol
+from tryon_jax.training.protocol import RAY_LENGTH, make_protocol
 
 Result = TypeVar("Result")
 REFERENCE_MS = {
@@ -90,10 +90,10 @@ class Bench:
         rays = [self.protocol.rays[number] for number in numbers]
         return [drape for ray in rays for drape in sweep(first, ray, garment.cloth, garment.fabric, *how)]
 
-    def side_by_side(self, garment: Garment, first: Drape, numbers: list[int]) -> list[Drape]:
-        """The same in lanes of one mapped solve."""
+    def side_by_side(self, garment: Garment, first: Drape, numbers: list[int], shapes: int = RAY_LENGTH) -> list[Drape]:
+        """The same in lanes of one mapped solve, the first so many shapes of each ray."""
         how = self.obstacle, self.settings, self.equilibrium
-        rays, count = np.stack([self.protocol.rays[number] for number in numbers]), len(numbers)
+        rays, count = np.stack([self.protocol.rays[number][:shapes] for number in numbers]), len(numbers)
         lanes = sweep_many([first] * count, rays, [garment.cloth] * count, [garment.fabric] * count, *how)
         return [drape for shapes in lanes for drape in shapes]
 
@@ -115,7 +115,7 @@ def shape_rows(config: Config) -> list[dict[str, Any]]:
             row["dressing, s"] = clock(partial(bench.dress, garment))[0]
             if config.batch:
                 work = partial(bench.side_by_side, garment, first, [order[k % len(order)] for k in range(config.batch)])
-                work()
+                work(shapes=1)
             else:
                 work = partial(bench.rays, garment, first, list(order[1 : config.rays + 1]))
                 bench.rays(garment, first, [order[0]])

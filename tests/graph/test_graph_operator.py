@@ -13,6 +13,7 @@ from jax.experimental.sparse import BCOO
 from jax.test_util import check_grads
 
 from tryon_jax.graph import apply_operator, make_operator
+from tryon_jax.graph import operator as graph_operator
 
 
 def random_matrix(rows, columns, density, seed):
@@ -36,6 +37,28 @@ def test_product_and_adjoint_equal_the_matrix_whatever_the_capacities(rows, colu
     assert not backward[columns:].any()
     # Adjoint: ⟨A x, y⟩ = ⟨x, Aᵀ y⟩.
     assert (forward * y).sum() == pytest.approx((x * backward).sum(), abs=1e-3)
+
+
+@settings(max_examples=10)
+@given(st.integers(1, 40), st.integers(1, 40), st.floats(0.0, 0.6), st.integers(0, 99))
+def test_the_way_of_other_devices_gives_the_same(rows, columns, density, seed):
+    """What is lowered for a GPU, executed here: one operator, and two that `vmap` joins."""
+
+    def run(operator, x):
+        leaves = [*jax.tree.leaves(operator.rows), *jax.tree.leaves(operator.columns)]
+        return graph_operator._execute_in_one(*map(jnp.asarray, leaves), jnp.asarray(x))
+
+    pair = [
+        make_operator(random_matrix(rows, columns, density, seed + k), slots=3, tail=(40, 40), transposed_slots=2)
+        for k in range(2)
+    ]
+    x = np.random.default_rng(seed).normal(size=(2, columns, 5)).astype(np.float32)
+    expected = [np.asarray(apply_operator(operator, features)) for operator, features in zip(pair, x, strict=True)]
+    np.testing.assert_allclose(run(pair[0], x[0]), expected[0], atol=2e-5)
+    lists = [jnp.stack(leaves) for leaves in zip(*(jax.tree.leaves(operator.rows) for operator in pair), strict=True)]
+    joined = graph_operator._join_lists(lists, rows, columns)
+    both = graph_operator._execute_in_one(*joined, *joined, jnp.asarray(x.reshape(-1, 5)))
+    np.testing.assert_allclose(both.reshape(2, rows, 5), expected, atol=2e-5)
 
 
 @settings(max_examples=8)

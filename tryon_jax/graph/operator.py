@@ -7,8 +7,7 @@ it must be linear for `jvp`, `vjp` and `linearize` alike, and because `vmap` mus
 becomes more columns, a batch of garments becomes one larger operator.
 """
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -37,6 +36,8 @@ class NeighbourLists:
     """Rows with more than K entries."""
     tail_columns: Int[ArrayLike, "*batch S R"]
     tail_weights: Float[ArrayLike, "*batch S R"]
+    tail_places: Int[ArrayLike, "*batch M"]
+    """Where each row stands among `tail_rows`; R for those that do not."""
 
 
 @pytree
@@ -117,13 +118,15 @@ def _csr_to_lists(
     weights[place[first], row[first]] = csr.data[first]
     tail_rows = np.full(tail_size, num_rows, np.int32)
     tail_rows[: len(long)] = long
+    tail_places = np.full(num_rows, tail_size, np.int32)
+    tail_places[long] = np.arange(len(long))
     tail_columns = np.zeros((tail_slots, tail_size), np.int32)
     tail_weights = np.zeros((tail_slots, tail_size), dtype)
     rest = ~first
     at = np.searchsorted(long, row[rest])
     tail_columns[place[rest] - slots, at] = csr.indices[rest]
     tail_weights[place[rest] - slots, at] = csr.data[rest]
-    return NeighbourLists(columns, weights, tail_rows, tail_columns, tail_weights)
+    return NeighbourLists(columns, weights, tail_rows, tail_columns, tail_weights, tail_places)
 
 
 def make_operator(
@@ -194,10 +197,10 @@ def apply_operator(operator: SparseOperator | BCOO, features: Float[ArrayLike, "
     return product.reshape(product.shape[0], *features.shape[1:])
 
 
-# --- the primitive: operands are five arrays of the rows, five of the columns, and features [N, C] ---------------
+# --- the primitive: operands are six arrays of the rows, six of the columns, and features [N, C] -----------------
 
 _product = Primitive("tryon_jax_sparse_product")
-_NUM_LISTS = 5
+_NUM_LISTS = 6
 
 
 def _gather_sum(columns: Any, weights: Any, features: Any) -> Array:
@@ -218,11 +221,20 @@ def _gather_sum_alone(columns: Any, weights: Any, features: Any) -> Array:
     return jax.lax.cond(columns[0, 0] >= 0, _gather_sum, lambda *_: zeros, columns, weights, features)
 
 
-def _execute(*operands: Any, gather_sum: Callable[..., Array]) -> Array:
-    columns, weights, tail_rows, tail_columns, tail_weights = operands[:_NUM_LISTS]
+def _execute_on_cpu(*operands: Any) -> Array:
+    columns, weights, tail_rows, tail_columns, tail_weights, _ = operands[:_NUM_LISTS]
     features = operands[-1]
-    product = gather_sum(columns, weights, features)
-    return product.at[tail_rows].add(gather_sum(tail_columns, tail_weights, features), mode="drop")
+    product = _gather_sum_alone(columns, weights, features)
+    return product.at[tail_rows].add(_gather_sum_alone(tail_columns, tail_weights, features), mode="drop")
+
+
+def _execute_in_one(*operands: Any) -> Array:
+    """For devices on which a kernel's start costs more than its arithmetic: all rows read a tail, most one of zeros."""
+    columns, weights, _, tail_columns, tail_weights, places = operands[:_NUM_LISTS]
+    features = operands[-1]
+    own_columns = tail_columns.at[:, places].get(mode="fill", fill_value=0)
+    own_weights = tail_weights.at[:, places].get(mode="fill", fill_value=0)
+    return _gather_sum(columns, weights, features) + _gather_sum(own_columns, own_weights, features)
 
 
 def _transpose(cotangent: Any, *operands: Any) -> list[Any]:
@@ -263,8 +275,8 @@ def _batch(operands: Sequence[Any], axes: Sequence[int | None]) -> tuple[Any, in
 
 
 def _join_lists(lists: Sequence[Any], num_rows: int, num_columns: int) -> list[Any]:
-    columns, weights, tail_rows, tail_columns, tail_weights = lists
-    count = columns.shape[0]
+    columns, weights, tail_rows, tail_columns, tail_weights, tail_places = lists
+    count, num_tails = columns.shape[0], tail_rows.shape[1]
     offset = jnp.arange(count, dtype=columns.dtype)
 
     def flatten(slots: Any) -> Any:
@@ -272,7 +284,8 @@ def _join_lists(lists: Sequence[Any], num_rows: int, num_columns: int) -> list[A
 
     rows = jnp.where(tail_rows < num_rows, tail_rows + (offset * num_rows)[:, None], count * num_rows)
     shift = (offset * num_columns)[:, None, None]
-    tail = (rows.reshape(-1), flatten(tail_columns + shift), flatten(tail_weights))
+    places = jnp.where(tail_places < num_tails, tail_places + (offset * num_tails)[:, None], count * num_tails)
+    tail = (rows.reshape(-1), flatten(tail_columns + shift), flatten(tail_weights), places.reshape(-1))
     return [flatten(columns + shift), flatten(weights), *tail]
 
 
@@ -281,11 +294,10 @@ def _abstract(*operands: Any) -> ShapedArray:
     return ShapedArray((columns.shape[-1], features.shape[1]), features.dtype)
 
 
-_execute_on_cpu = partial(_execute, gather_sum=_gather_sum_alone)
 _product.def_impl(jax.jit(_product.bind))
 _product.def_abstract_eval(_abstract)
 ad.primitive_jvps[_product] = _jvp
 ad.primitive_transposes[_product] = _transpose
 batching.primitive_batchers[_product] = _batch
-mlir.register_lowering(_product, mlir.lower_fun(partial(_execute, gather_sum=_gather_sum), multiple_results=False))
+mlir.register_lowering(_product, mlir.lower_fun(_execute_in_one, multiple_results=False))
 mlir.register_lowering(_product, mlir.lower_fun(_execute_on_cpu, multiple_results=False), platform="cpu")
