@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-SAME = ("device", "cpu_cores", "python", "tryon_jax", "jax", "jaxlib", "numpy", "scipy")
+SAME = ("device", "cpu_cores", "python", "tryon_jax", "jax", "jaxlib", "numpy", "scipy", "xla_flags")
 """What must not have changed since a record was begun."""
 LIMITS = ("max_call_seconds", "max_gigabytes")
 """Options that keep cells out; a skipped cell says in `needs` what would let it in."""

@@ -84,6 +84,7 @@ def environment() -> dict[str, Any]:
         "python": platform.python_version(),
         "tryon_jax": tryon_jax.__version__,
         **{name: importlib.metadata.version(name) for name in packages},
+        **({"xla_flags": os.environ["XLA_FLAGS"]} if os.environ.get("XLA_FLAGS") else {}),
     }
 
 

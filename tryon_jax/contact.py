@@ -1,6 +1,6 @@
 """Where a point is relative to the body: closest point on its triangles and signed distance, jittable.
 
-The host builds a `Surface`'s topology once per body and finds a first face for each point; on the device the closest
+The host builds a `Surface`'s topology once per body; a first face for each point is found among all. The closest
 point is then followed from face to face, which is exact as long as points move by less than the local feature size
 between two calls.
 """
