@@ -6,6 +6,7 @@ python -m benchmarks profile --subject "solver step" --batch 64 --top 20
 
 import tempfile
 import time
+import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -57,16 +58,22 @@ def device_events(data: ProfileData) -> Iterable[tuple[str, float]]:
 def record(call: Callable[[int], Any], calls: int) -> tuple[float, dict[str, list[float]]]:
     """Seconds of the calls on the clock, and the nanoseconds of every run of each kernel."""
     jax.block_until_ready(call(0))
+    # Python's own calls are not asked for: to trace them costs time.
+    options = jax.profiler.ProfileOptions()
+    options.python_tracer_level = 0
     with tempfile.TemporaryDirectory() as folder:
-        with jax.profiler.trace(folder):
+        with jax.profiler.trace(folder, profiler_options=options):
             start = time.perf_counter()
             for turn in range(calls):
                 jax.block_until_ready(call(turn))
             seconds = time.perf_counter() - start
         [file] = Path(folder).rglob("*.xplane.pb")
         found: dict[str, list[float]] = defaultdict(list)
-        for name, duration in device_events(ProfileData.from_file(str(file))):
-            found[name].append(duration)
+        with warnings.catch_warnings():
+            # JAX's types of a profile lack a module, of which Python 3.13 warns; where warnings are errors, JAX aborts.
+            warnings.simplefilter("ignore", DeprecationWarning)
+            for name, duration in device_events(ProfileData.from_file(str(file))):
+                found[name].append(duration)
     return seconds, dict(found)
 
 
