@@ -11,7 +11,7 @@ from tryon_jax.contact import Surface, build_surface, closest_faces, nearest_ver
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import GRID, Fabric, load_fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
+from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 
 FAR = 5.0
 PINNED = 1e5
@@ -132,7 +132,7 @@ def start_at(points: np.ndarray, cloth: Cloth) -> ClothState:
     x = np.full((len(cloth.vertex_areas), 3), FAR, np.float32)
     x[: len(points)] = points
     at = jnp.asarray(x)
-    return ClothState(at, jnp.zeros_like(at), jnp.zeros_like(at), jnp.zeros(len(x) + len(cloth.faces), jnp.int32))
+    return resting(at, jnp.zeros(len(x) + len(cloth.faces), jnp.int32))
 
 
 def settle(

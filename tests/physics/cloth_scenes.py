@@ -9,7 +9,7 @@ from tryon_jax.contact import Surface, build_surface, closest_faces, nearest_ver
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import GRID, Fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
+from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 
 BUCKET = 64
 FAR = 5.0
@@ -91,7 +91,7 @@ def start(x: jax.Array, cloth: Cloth, surface: Surface) -> ClothState:
     """A state at rest."""
     samples = sample_points(x, cloth)
     face = closest_faces(surface, samples, nearest_vertices(surface, samples))
-    return ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), face)
+    return resting(x, face)
 
 
 def run(

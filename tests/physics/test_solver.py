@@ -14,7 +14,7 @@ from tryon_jax.physics.bending import bending_energy
 from tryon_jax.physics.body_contact import SLIDING, ContactLaw
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import GRAVITY, ClothState, SolverSettings
+from tryon_jax.physics.solver import GRAVITY, ClothState, SolverSettings, internal_forces
 from tryon_jax.physics.stretch import stretch_energy
 
 EXACT = SolverSettings(linear_tolerance=1e-9, linear_iterations=2000, max_move=10.0)
@@ -255,3 +255,49 @@ def test_float32_agrees() -> None:
         state, _ = run(start(place(points, cloth), cloth, surface), cloth, fabric, surface, STATIC, 5)
         results.append(np.asarray(state.x)[: len(uv)])
     np.testing.assert_allclose(results[0], results[1], atol=1e-5)
+
+
+def test_single_precision_feels_what_its_positions_cannot_hold() -> None:
+    """Forces of stiff cloth a metre from the origin, from positions in two parts, against double precision."""
+    faces, uv = sheet(5, 4, 0.1, 0.08)
+    fabric = make_fabric(warp=5000.0)
+    exact = horizontal(uv) + 1e-5 * np.random.default_rng(2).normal(size=(len(uv), 3)) + [1.0, 0.7, -0.8]
+    cut = exact.astype(np.float32)
+    cloth = make_cloth(faces, uv, np.float32)
+    rest = place(exact - cut, cloth) * cloth.active[:, None]
+    coarse, fine = (internal_forces(place(cut, cloth), cloth, fabric, part)[0] for part in (None, rest))
+    with jax.enable_x64(True):
+        cloth = make_cloth(faces, uv)
+        wanted = np.asarray(internal_forces(place(exact, cloth), cloth, make_fabric(warp=5000.0))[0])
+    size = np.abs(wanted).max()
+    assert np.abs(np.asarray(coarse) - wanted).max() > 1e-3 * size
+    np.testing.assert_allclose(fine, wanted, atol=1e-4 * size)
+
+
+def test_steps_lose_no_digit_of_the_moves() -> None:
+    """Two thousand moves far below the last digit of the positions add up."""
+    faces, uv = sheet(5, 4, 0.1, 0.08)
+    cloth, surface = make_cloth(faces, uv, np.float32), slab(dtype=np.float32)
+    # A step of free fall from rest without memory moves by g h²: 1 nm, where the digits of 2 m end at 0.1 µm.
+    settings = dataclasses.replace(EXACT, retention=0.0, time_step=1e-5)
+    state = start(place(horizontal(uv, 2.0), cloth), cloth, surface)
+    after, _ = run(state, cloth, make_fabric(), surface, settings, 2000)
+    moved = np.float64(after.x) + np.float64(after.remainder) - np.float64(state.x)
+    np.testing.assert_allclose(moved[: len(uv), 1], -2000 * GRAVITY * 1e-10, rtol=1e-4)
+    assert (np.abs(after.remainder)[: len(uv), 1] <= 2.0**-23).all()
+
+
+def test_stiff_cloth_comes_to_rest_in_single_precision() -> None:
+    """A woven strip that hangs by its top, a metre from the origin: without the remainder its residual stays high."""
+    faces, uv = sheet(5, 4, 0.1, 0.08)
+    cloth, surface, fabric = make_cloth(faces, uv, np.float32), slab(dtype=np.float32), make_fabric(warp=5000.0)
+    hung = np.stack([uv[:, 0] + 1.0, uv[:, 1] + 1.0, np.zeros(len(uv))], axis=1)
+    pinned = uv[:, 1] > uv[:, 1].max() - 1e-6
+    pinned = np.concatenate([pinned, np.zeros(len(cloth.active) - len(uv), bool)])
+    state = forgetful = start(place(hung, cloth), cloth, surface)
+    for _ in range(40):
+        state, report = run(state, cloth, fabric, surface, STATIC, 1, pinned)
+        forgetful, without = run(forgetful, cloth, fabric, surface, STATIC, 1, pinned)
+        forgetful = dataclasses.replace(forgetful, remainder=jnp.zeros_like(forgetful.x))
+    assert float(report.residual) < 0.02
+    assert float(without.residual) > 0.2

@@ -11,7 +11,7 @@ import trimesh
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Obstacle
 from tryon_jax.physics.fabrics import Fabric, load_fabric
-from tryon_jax.physics.solver import ClothState, StepReport
+from tryon_jax.physics.solver import StepReport, resting
 from tryon_jax.training.dataset import STATISTICS, is_good
 from tryon_jax.training.inspect import Inspector, principal_tension
 
@@ -35,7 +35,7 @@ def shell(over: float) -> tuple[np.ndarray, np.ndarray]:
 
 def as_drape(vertices: np.ndarray, inspector: Inspector, beta: float = 0.0, residual: float = 0.005) -> Drape:
     x = jnp.asarray(vertices, jnp.float32)
-    state = ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), jnp.zeros(len(x), jnp.int32))
+    state = resting(x, jnp.zeros(len(x), jnp.int32))
     zero = jnp.zeros(())
     report = StepReport(jnp.asarray(residual), zero, zero, jnp.asarray(12), jnp.asarray(30))
     betas = np.array([beta])

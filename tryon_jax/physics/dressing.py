@@ -19,7 +19,7 @@ from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.proxy import CollisionBody, build_collision_body
 from tryon_jax.physics.self_contact import SelfContact, SelfPairs, find_pairs
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
+from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 from tryon_jax.types import Body
 
 FAR_AWAY = 5.0
@@ -167,7 +167,7 @@ def start_state(start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface)
     x = np.full((cloth.vertex_areas.shape[0], 3), FAR_AWAY, np.float32)
     x[: len(start)] = start
     x = jnp.asarray(x)
-    return ClothState(x, jnp.zeros_like(x), jnp.zeros_like(x), _faces(surface, x, cloth))
+    return resting(x, _faces(surface, x, cloth))
 
 
 def closing(settings: SolverSettings) -> SolverSettings:

@@ -22,11 +22,26 @@ MAX_STIFFENING = 20.0
 """Cap on how much stiffer than the secant the tangent may be: it is unbounded where principal strains coincide."""
 
 
-def deformation_gradients(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, "F 3 2"]:
-    """Derivative of position with respect to (u, v) on each face, from edge vectors (exact under translation)."""
-    corners = x[cloth.faces]
-    edges = corners[:, 1:] - corners[:, :1]
+def deformation_gradients(
+    x: Float[Array, "V 3"], cloth: Cloth, remainder: Float[Array, "V 3"] | None = None
+) -> Float[Array, "F 3 2"]:
+    """Derivative of position with respect to (u, v) on each face, from edge vectors (exact under translation).
+
+    Args:
+        x: positions, metres.
+        cloth: rest state.
+        remainder: what is to be added to `x`, too small to be seen in its digits (none: nothing). The difference of
+            neighbours is exact to its last digit, so that their strain then is, too.
+    """
+    edges = _edges(x, cloth)
+    if remainder is not None:
+        edges = edges + _edges(remainder, cloth)
     return jnp.einsum("fni,fnk->fik", edges, cloth.shape_gradients[:, 1:], precision=EXACT)
+
+
+def _edges(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, "F 2 3"]:
+    corners = x[cloth.faces]
+    return corners[:, 1:] - corners[:, :1]
 
 
 def green_strain(gradients: Float[Array, "F 3 2"]) -> Float[Array, "F 3"]:

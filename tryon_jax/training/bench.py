@@ -3,6 +3,7 @@
 import functools
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ from tryon_jax.physics.batch import dress_many, sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Diverged, Drape, Equilibrium, Obstacle, dress, sweep
 from tryon_jax.physics.fabrics import Fabric, load_fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport
+from tryon_jax.physics.solver import SolverSettings, StepReport, resting
 from tryon_jax.training.dataset import STATISTICS, load_arrays, mean_path, mesh_path, read_config, save_arrays
 from tryon_jax.training.inspect import Inspector
 from tryon_jax.training.plan import Task, template_designs
@@ -182,7 +183,7 @@ class Bench:
         slip = np.zeros_like(x)
         x[:count], slip[:count] = before["vertices"], before["slip"]
         face = jnp.zeros(padded + len(worn.cloth.faces), jnp.int32)
-        state = ClothState(jnp.asarray(x), jnp.zeros((padded, 3)), jnp.asarray(slip), face)
+        state = replace(resting(jnp.asarray(x), face), slip=jnp.asarray(slip))
         zero = np.zeros(self.config.num_betas)
         scalar, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
         report = StepReport(scalar, scalar, scalar, none, none)
