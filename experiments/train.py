@@ -48,4 +48,4 @@ def main(config: Config) -> None:
     default = CollisionOptions()
     every = min(default.loop.evaluate_every, config.collision_steps)
     loop = replace(default.loop, steps=config.collision_steps, evaluate_every=every)
-    train_collisions.main(train_collisions.Config(config.run, (), CollisionOptions(loop=loop)))
+    train_collisions.main(train_collisions.Config(config.run, collisions=CollisionOptions(loop=loop)))

@@ -17,6 +17,8 @@ class Config:
     """Folder of the run, with R_fine trained."""
     fabrics: tuple[str, ...] = ()
     """Fabrics to fine-tune; all of the model's when left out."""
+    data: Path | None = None
+    """Folder of the simulated dataset, for `--replay` alone."""
     collisions: CollisionOptions = field(default_factory=CollisionOptions)
 
 
@@ -24,7 +26,7 @@ def main(config: Config) -> None:
     """Fine-tune one fabric after the other and report vertices inside the body before and after."""
     fabrics = config.fabrics or tuple(read_record(model_path(config.run))["config"]["fabrics"])
     for fabric in fabrics:
-        fit_collisions(config.run, fabric, config.collisions)
+        fit_collisions(config.run, fabric, config.collisions, config.data)
         draw_curve(config.run / f"collisions-{fabric}", "vertices inside, held-out garments, %")
         record = read_record(model_path(config.run))["training"][f"collisions-{fabric}"]
         for name in ("training", "held_out"):

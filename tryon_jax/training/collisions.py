@@ -1,7 +1,8 @@
 """Self-supervised fine-tuning of R_fine: random bodies, designs and topologies, no simulation (section 4.4).
 
 The paper minimises the collision loss alone. That also rewards inflating the garment, so an anchor holds the
-predictions to those of the starting weights where nothing collides; `anchor=0` is the paper's pure loss.
+predictions to those of the starting weights where nothing collides; `anchor=0` is the paper's pure loss. `replay` goes
+further where a dataset is at hand: some of the steps repeat what R_fine has learned from it.
 """
 
 from collections.abc import Sequence
@@ -22,7 +23,7 @@ from tryon_jax.nets.unet import UNet
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stages import map_garments, predict_fine, predict_smooth
+from tryon_jax.training.stages import StageBatch, map_garments, predict_fine, predict_smooth, stage_loss
 from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
 from tryon_jax.types import ArrayLike, pytree
 
@@ -51,6 +52,11 @@ class CollisionOptions:
     """Clearance asked for, metres."""
     anchor: float = 1.0
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
+    replay: float = 0.0
+    """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
+    R_fine has learned from them is not unlearned. Their loss is the squared distance, in units of the margin."""
+    fresh: int = 0
+    """Fresh topologies of each training garment in those steps (see `carried`)."""
 
 
 @pytree
@@ -114,8 +120,11 @@ class CollisionTask:
         vertices = shape_body(self.model.body, betas)[0]
         return vertices, vertex_normals(vertices, self.model.body.faces)
 
-    def loss(self, net: UNet, batch: CollisionBatch) -> Float[Array, ""]:
-        """Collision loss over the margin, plus the anchor."""
+    def loss(self, net: UNet, batch: CollisionBatch | StageBatch) -> Float[Array, ""]:
+        """Collision loss over the margin, plus the anchor; of simulated drapes, the squared distance from them."""
+        if isinstance(batch, StageBatch):
+            units = jnp.asarray(self.start.scale) / self.options.margin
+            return 3 * units * units * stage_loss(self.model.config, "fine", Stage(net, self.start.scale), batch)
         return map_garments(lambda p, b: self._garment_loss(net, p, b), batch.pooled, batch.betas).mean()
 
     def _garment_loss(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, ""]:

@@ -21,6 +21,7 @@ import numpy as np
 from tqdm import tqdm
 
 from tryon_jax.atomic import write_text
+from tryon_jax.checks import check_range
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
@@ -43,6 +44,7 @@ from tryon_jax.training.stages import (
     BatchSource,
     FineInput,
     Predictor,
+    StageBatch,
     StageSet,
     displacement_scale,
     fine_sets,
@@ -150,6 +152,18 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
     if options.energy and options.fresh:
         raise ValueError(f"energy = {options.energy} needs fresh = 0, not {options.fresh}: carried drapes do not rest")
     model = load_model(model_path(run))
+    sets, checksum = load_fine_sets(model, root, fabric, options)
+    folder = run / f"fine-{fabric}"
+    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
+    # Another process may have finished another fabric meanwhile.
+    model = load_model(model_path(run))
+    model = replace(model, fine={**model.fine, fabric: stage})
+    _save(run, model, f"fine-{fabric}", result, options, sets, checksum)
+    return model
+
+
+def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOptions) -> tuple[list[StageSet], str]:
+    """Samples of one fabric's R_fine and their checksum."""
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     samples = load_samples(model, root, names)
@@ -161,26 +175,39 @@ def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOn
             predictor(model.smooth, s.garment, s.betas) for s in tqdm(samples, desc="M_smooth", mininterval=2)
         ]
     cloths = [load_cloth(root, s) for s in samples] if options.energy else None
-    sets = fine_sets(samples, manifest, fabric, smooth_vertices, cloths)
-    folder = run / f"fine-{fabric}"
-    checksum = dataset_checksum(root, names)
-    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
-    # Another process may have finished another fabric meanwhile.
-    model = load_model(model_path(run))
-    model = replace(model, fine={**model.fine, fabric: stage})
-    _save(run, model, f"fine-{fabric}", result, options, sets, checksum)
-    return model
+    return fine_sets(samples, manifest, fabric, smooth_vertices, cloths), dataset_checksum(root, names)
 
 
-def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnModel:
-    """Fine-tune one fabric's R_fine against collisions; R_smooth and R_fine must be trained. No simulation is read."""
+def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path | None = None) -> TryOnModel:
+    """Fine-tune one fabric's R_fine against collisions; R_smooth and R_fine must be trained.
+
+    Args:
+        run: folder of the run.
+        fabric: whose R_fine.
+        options: see `CollisionOptions`.
+        root: folder of the dataset that `options.replay` reads; without it no simulation is read.
+
+    Raises:
+        ValueError: `options.replay` is no share below 1, or asked for without a dataset.
+    """
+    check_range("replay", options.replay, 0.0, 0.9)
+    if options.replay and root is None:
+        raise ValueError(f"replay = {options.replay} needs the folder of a dataset")
     model = load_model(model_path(run))
     task = CollisionTask(model, fabric, options)
     pool = make_pool(model, options.pool, options.loop.seed)
     held = make_pool(model, options.held_out, options.loop.seed + 1)
     folder = run / f"collisions-{fabric}"
 
-    def draw(rng: np.random.Generator) -> CollisionBatch:
+    replayed: dict[str, Any] = {}
+    source = None
+    if options.replay and root is not None:
+        sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions(fresh=options.fresh))
+        source = BatchSource(sets, options.garments, options.shapes)
+
+    def draw(rng: np.random.Generator) -> CollisionBatch | StageBatch:
+        if source is not None and rng.random() < options.replay:
+            return source.draw(rng)
         return draw_collisions(pool, options, model.config.num_betas, rng)
 
     def evaluate(net: UNet) -> float:
@@ -190,9 +217,10 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnMo
     identity = {
         "stage": "collisions",
         "fabric": fabric,
-        "options": asdict(options),
+        "options": _options_record(options),
         "config": store.config_record(model.config),
         "before": training.get(f"fine-{fabric}", {}),
+        **replayed,
     }
     before = [task.inside_share(task.start.net, garments, options.loop.seed) for garments in (pool, held)]
     result = train_loop(task.start.net, task.loss, draw, evaluate, folder, options.loop, identity, folder.name)
@@ -200,13 +228,16 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions) -> TryOnMo
     model = load_model(model_path(run))
     model = with_fine(model, fabric, Stage(result.params, task.start.scale))
     record = store.read_record(model_path(run)).get("training", {})
+    earlier = record.get(f"collisions-{fabric}")
     record[f"collisions-{fabric}"] = {
         "inside_training_percent": [100 * before[0], 100 * after[0]],
         "inside_held_out_percent": [100 * before[1], 100 * after[1]],
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
-        "options": asdict(options),
+        "options": _options_record(options),
+        **replayed,
     }
+    _continue(record[f"collisions-{fabric}"], earlier)
     save_model(model_path(run), model, record)
     return model
 
@@ -266,11 +297,18 @@ def _save(
         "platform": _platform(),
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
-    if earlier is not None:
-        again = all(earlier.get(key) == record[name][key] for key in ("options", "dataset"))
-        before = earlier.get("continues") if again else earlier
-        record[name] |= {"continues": before} if before else {}
+    _continue(record[name], earlier)
+    # A collision step of before is no longer what was last done to these weights.
+    record.pop(name.replace("fine-", "collisions-", 1) if name.startswith("fine-") else "", None)
     save_model(model_path(run), model, record)
+
+
+def _continue(record: dict[str, Any], earlier: dict[str, Any] | None) -> None:
+    """Keep the record of the training that this one continues, unless it is the same one done again."""
+    if earlier is not None:
+        again = all(earlier.get(key) == record.get(key) for key in ("options", "dataset"))
+        before = earlier.get("continues") if again else earlier
+        record |= {"continues": before} if before else {}
 
 
 def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
@@ -279,11 +317,11 @@ def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return [*chain(earlier), record] if earlier else [record]
 
 
-def _options_record(options: StageOptions) -> dict[str, Any]:
+def _options_record(options: StageOptions | CollisionOptions) -> dict[str, Any]:
     """The options; later ones only where they are used, so that runs begun before there was a choice continue."""
     record = asdict(options)
-    for name, default in (("precision", "float32"), ("fresh", 0)):
-        if record[name] == default:
+    for name, default in (("precision", "float32"), ("fresh", 0), ("replay", 0.0)):
+        if record.get(name) == default:
             del record[name]
     return record
 
