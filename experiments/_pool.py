@@ -22,8 +22,14 @@ from tqdm import tqdm
 
 from tryon_jax.training.generate import end_with_parent
 
-ONE_CORE = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-"""XLA_FLAGS of a worker: the arrays are too small to share a thread pool, two processes are twice as fast."""
+ONE_CORE = {
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+}
+"""Environment of a worker: the arrays are too small to share a thread pool, two processes are twice as fast. OpenBLAS,
+which inverts the solver's coarse matrices, starts its threads with NumPy, before a worker can be bound to a core; they
+spin for a while after each call and took half of the worker's time."""
 
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 
@@ -39,7 +45,7 @@ def open_pool(processes: int, scheduler: str = "") -> Iterator[Executor]:
         with _dask_pool(scheduler) as pool:
             yield pool
         return
-    os.environ["XLA_FLAGS"] = ONE_CORE
+    os.environ.update(ONE_CORE)
     context = multiprocessing.get_context("spawn")
     turn = context.Value("i", 0)
     with ProcessPoolExecutor(processes, mp_context=context, initializer=_start_worker, initargs=(turn,)) as pool:
@@ -53,7 +59,7 @@ def open_pool(processes: int, scheduler: str = "") -> Iterator[Executor]:
 def _start_worker(turn: Any) -> None:
     """Bind this worker to a core of its own, in turn, before JAX starts as many threads as it sees cores.
 
-    `ONE_CORE` alone does not prevent that, and threads of several workers that share cores wait for each other.
+    XLA's flags alone do not prevent that, and threads of several workers that share cores wait for each other.
     """
     end_with_parent()
     if hasattr(os, "sched_setaffinity"):
