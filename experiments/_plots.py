@@ -125,6 +125,13 @@ def _hysteresis(axis: Any, found: Mapping[str, Any]) -> None:
     axis.legend(fontsize=7)
 
 
+def _rounding(axis: Any, found: Mapping[str, Any]) -> None:
+    names = [f"{row['design']}, {row['fabric']}, stature {row['stature']:+.0f}" for row in found["rows"]]
+    axis.barh(range(len(names)), [row["mean, mm"] for row in found["rows"]])
+    axis.set_yticks(range(len(names)), names, fontsize=6)
+    axis.set(title="starts 1 µm apart", xlabel="mean distance of the drapes, mm")
+
+
 PANELS: dict[str, Callable[[Any, Mapping[str, Any]], None]] = {
     "uniaxial": _uniaxial,
     "elastica": _elastica,
@@ -134,4 +141,5 @@ PANELS: dict[str, Callable[[Any, Mapping[str, Any]], None]] = {
     "energy": _energy,
     "convergence": _convergence,
     "hysteresis": _hysteresis,
+    "rounding": _rounding,
 }

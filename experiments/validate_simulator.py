@@ -12,6 +12,7 @@ from experiments._check_mechanics import (
     check_energy,
     check_hysteresis,
     check_incline,
+    check_rounding,
 )
 from experiments._check_reference import check_forces, check_tube
 from experiments._check_textiles import check_cantilever, check_drape, check_uniaxial
@@ -33,6 +34,7 @@ CHECKS: dict[str, Callable[[Config], Found]] = {
     "energy": check_energy,
     "convergence": check_convergence,
     "hysteresis": check_hysteresis,
+    "rounding": check_rounding,
 }
 
 
