@@ -25,7 +25,6 @@ from tryon_jax.training.generate import end_with_parent
 ONE_CORE = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
     "OPENBLAS_NUM_THREADS": "1",
-    "OMP_NUM_THREADS": "1",
 }
 """Environment of a worker: the arrays are too small to share a thread pool, two processes are twice as fast. OpenBLAS,
 which inverts the solver's coarse matrices, starts its threads with NumPy, before a worker can be bound to a core; they

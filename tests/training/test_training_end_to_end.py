@@ -110,7 +110,7 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
             fit_collisions(tmp_path, FABRIC, replace(options, replay=bad))
     fit_collisions(tmp_path, FABRIC, options)
     first = read_record(model_path(tmp_path))["training"][f"collisions-{FABRIC}"]
-    assert {"replay", "fresh", "dataset", "continues"}.isdisjoint({*first, *first["options"]})
+    assert {"replay", "dataset", "continues"}.isdisjoint({*first, *first["options"]})
     (tmp_path / f"collisions-{FABRIC}").rename(tmp_path / "first")
     # Steps that only see simulated drapes, or nearly so, bring the network nearer to them.
     loop = LoopOptions(steps=40, learning_rate=2e-3, evaluate_every=40)
@@ -119,6 +119,9 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
     assert second["options"]["replay"] == 0.9
     assert second["dataset"] == read_record(model_path(run))["training"][f"fine-{FABRIC}"]["dataset"]
     assert second["continues"] == first
+    # Asked for once more it is done already, and its record stays.
+    fit_collisions(tmp_path, FABRIC, replace(options, loop=loop, replay=0.9, anchor=0.0), dataset)
+    assert read_record(model_path(tmp_path))["training"][f"collisions-{FABRIC}"] == second
     assert second["inside_training_percent"][0] == pytest.approx(first["inside_training_percent"][1])
     before, after = load_model(model_path(run)), load_model(model_path(tmp_path))
     sets, _ = load_fine_sets(before, dataset, FABRIC, StageOptions())

@@ -55,8 +55,6 @@ class CollisionOptions:
     replay: float = 0.0
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
     R_fine has learned from them is not unlearned. Their loss is the squared distance, in units of the margin."""
-    fresh: int = 0
-    """Fresh topologies of each training garment in those steps (see `carried`)."""
 
 
 @pytree

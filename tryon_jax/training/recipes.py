@@ -28,6 +28,7 @@ from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNet, count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.carried import fresh_topologies
+from tryon_jax.training.checkpoint import load_checkpoint
 from tryon_jax.training.collisions import (
     CollisionBatch,
     CollisionOptions,
@@ -194,15 +195,21 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path
     if options.replay and root is None:
         raise ValueError(f"replay = {options.replay} needs the folder of a dataset")
     model = load_model(model_path(run))
+    training = store.read_record(model_path(run)).get("training", {})
+    folder = run / f"collisions-{fabric}"
+    earlier = training.get(folder.name)
+    saved = load_checkpoint(folder)
+    if earlier and saved and saved[1]["step"] == earlier["steps"] and earlier["options"] == _options_record(options):
+        # Done already: measured again, its result would be its own start.
+        return model
     task = CollisionTask(model, fabric, options)
     pool = make_pool(model, options.pool, options.loop.seed)
     held = make_pool(model, options.held_out, options.loop.seed + 1)
-    folder = run / f"collisions-{fabric}"
 
     replayed: dict[str, Any] = {}
     source = None
     if options.replay and root is not None:
-        sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions(fresh=options.fresh))
+        sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions())
         source = BatchSource(sets, options.garments, options.shapes)
 
     def draw(rng: np.random.Generator) -> CollisionBatch | StageBatch:
@@ -213,7 +220,6 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path
     def evaluate(net: UNet) -> float:
         return 100 * task.inside_share(net, held, options.loop.seed)
 
-    training = store.read_record(model_path(run)).get("training", {})
     identity = {
         "stage": "collisions",
         "fabric": fabric,
@@ -228,16 +234,15 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path
     model = load_model(model_path(run))
     model = with_fine(model, fabric, Stage(result.params, task.start.scale))
     record = store.read_record(model_path(run)).get("training", {})
-    earlier = record.get(f"collisions-{fabric}")
-    record[f"collisions-{fabric}"] = {
+    record[folder.name] = {
         "inside_training_percent": [100 * before[0], 100 * after[0]],
         "inside_held_out_percent": [100 * before[1], 100 * after[1]],
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
         "options": _options_record(options),
         **replayed,
+        **({"continues": earlier} if earlier else {}),
     }
-    _continue(record[f"collisions-{fabric}"], earlier)
     save_model(model_path(run), model, record)
     return model
 
@@ -297,18 +302,14 @@ def _save(
         "platform": _platform(),
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
-    _continue(record[name], earlier)
-    # A collision step of before is no longer what was last done to these weights.
-    record.pop(name.replace("fine-", "collisions-", 1) if name.startswith("fine-") else "", None)
-    save_model(model_path(run), model, record)
-
-
-def _continue(record: dict[str, Any], earlier: dict[str, Any] | None) -> None:
-    """Keep the record of the training that this one continues, unless it is the same one done again."""
     if earlier is not None:
-        again = all(earlier.get(key) == record.get(key) for key in ("options", "dataset"))
+        again = all(earlier.get(key) == record[name][key] for key in ("options", "dataset"))
         before = earlier.get("continues") if again else earlier
-        record |= {"continues": before} if before else {}
+        record[name] |= {"continues": before} if before else {}
+    if name.startswith("fine-"):
+        # These weights have not been through a collision step.
+        record.pop(name.replace("fine-", "collisions-"), None)
+    save_model(model_path(run), model, record)
 
 
 def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
