@@ -23,7 +23,7 @@ from tryon_jax.nets.unet import UNet
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stages import StageBatch, map_garments, predict_fine, predict_smooth, stage_loss
+from tryon_jax.training.stages import Distance, StageBatch, map_garments, predict_fine, predict_smooth, stage_loss
 from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
 from tryon_jax.types import ArrayLike, pytree
 
@@ -54,7 +54,9 @@ class CollisionOptions:
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
     replay: float = 0.0
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
-    R_fine has learned from them is not unlearned. Their loss is the squared distance, in units of the margin."""
+    R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
+    distance: Distance = "squared"
+    """Distance of the replayed drapes: squared or plain, best as R_fine was trained (see `displacement_error`)."""
 
 
 @pytree
@@ -119,10 +121,12 @@ class CollisionTask:
         return vertices, vertex_normals(vertices, self.model.body.faces)
 
     def loss(self, net: UNet, batch: CollisionBatch | StageBatch) -> Float[Array, ""]:
-        """Collision loss over the margin, plus the anchor; of simulated drapes, the squared distance from them."""
+        """Collision loss over the margin, plus the anchor; of simulated drapes, the distance from them."""
         if isinstance(batch, StageBatch):
+            stage, distance = Stage(net, self.start.scale), self.options.distance
             units = jnp.asarray(self.start.scale) / self.options.margin
-            return 3 * units * units * stage_loss(self.model.config, "fine", Stage(net, self.start.scale), batch)
+            in_margins = 3 * units * units if distance == "squared" else units
+            return in_margins * stage_loss(self.model.config, "fine", stage, batch, distance)
         return map_garments(lambda p, b: self._garment_loss(net, p, b), batch.pooled, batch.betas).mean()
 
     def _garment_loss(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, ""]:

@@ -43,6 +43,7 @@ from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
 from tryon_jax.training.stages import (
     BatchSource,
+    Distance,
     FineInput,
     Predictor,
     StageBatch,
@@ -79,6 +80,8 @@ class StageOptions:
     """Arithmetic of the network while it is trained; weights, optimiser, losses and the result stay float32."""
     energy: float = 0.0
     """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
+    distance: Distance = "squared"
+    """Error that is minimised: squared, or the plain distance (see `stage_loss`)."""
 
 
 def model_path(run: Path) -> Path:
@@ -264,7 +267,7 @@ def fit_stage(
 
     def loss(net: UNet, batch: Any) -> jax.Array:
         used = cast_net(net, jnp.bfloat16) if options.precision == "bfloat16" else net
-        return stage_loss(model.config, kind, Stage(used, scale), batch, options.energy, fabric)
+        return stage_loss(model.config, kind, Stage(used, scale), batch, options.distance, options.energy, fabric)
 
     def evaluate(net: UNet) -> float:
         return validation_error(predictor, Stage(net, scale), sets)
@@ -321,7 +324,7 @@ def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def _options_record(options: StageOptions | CollisionOptions) -> dict[str, Any]:
     """The options; later ones only where they are used, so that runs begun before there was a choice continue."""
     record = asdict(options)
-    for name, default in (("precision", "float32"), ("fresh", 0), ("replay", 0.0)):
+    for name, default in (("precision", "float32"), ("fresh", 0), ("replay", 0.0), ("distance", "squared")):
         if record.get(name) == default:
             del record[name]
     return record

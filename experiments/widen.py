@@ -1,0 +1,52 @@
+"""Begin a run with a trained model whose networks are made wider: the same drapes at first, then trained further."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+
+from tryon_jax.nets.store import read_record
+from tryon_jax.nets.unet import count_parameters
+from tryon_jax.nets.widen import widen_unet
+from tryon_jax.training.recipes import model_path
+from tryon_jax.tryon import Stage, load_model, save_model
+
+
+@dataclass(frozen=True)
+class Config:
+    """What is made wider, and by how much."""
+
+    model: Path
+    """The trained model, a safetensors file."""
+    run: Path
+    """Folder of the new run."""
+    smooth: tuple[int, ...]
+    """Features at each level of R_smooth, finest first."""
+    fine: tuple[int, ...]
+    """The same for R_fine of every fabric."""
+    seed: int = 0
+    """Of the weights of added features."""
+
+
+def main(config: Config) -> None:
+    """Write RUN/model.safetensors.
+
+    Raises:
+        FileExistsError: the run has a model already.
+    """
+    target = model_path(config.run)
+    if target.exists():
+        raise FileExistsError(f"{str(target)!r} exists: a wider network begins a run of its own")
+    model, record = load_model(config.model), read_record(config.model).get("training", {})
+    keys = iter(jax.random.split(jax.random.key(config.seed), 1 + len(model.fine)))
+
+    def widen(stage: Stage, widths: tuple[int, ...]) -> Stage:
+        return replace(stage, net=widen_unet(next(keys), stage.net, widths))
+
+    before = count_parameters((model.smooth, model.fine))
+    smooth = widen(model.smooth, config.smooth)
+    fine = {fabric: widen(stage, config.fine) for fabric, stage in model.fine.items()}
+    sizes = replace(model.config, smooth=smooth.net.config, fine=replace(model.config.fine, widths=tuple(config.fine)))
+    model = replace(model, smooth=smooth, fine=fine, config=sizes)
+    save_model(target, model, record)
+    print(f"{before:,} parameters of R_smooth and R_fine became {count_parameters((smooth, fine)):,}: {target}")
