@@ -51,6 +51,19 @@ def test_only_the_neighbourhood_of_a_penetration_moves(ball):
     assert np.linalg.norm(step) == pytest.approx(0.0121, abs=0.001)
 
 
+def test_what_it_tells_is_what_a_full_measurement_finds(ball):
+    """Also where samples that had not moved were not measured again, and where rounds run out."""
+    vertices, faces = tube(30, 24, radius=0.2)
+    vertices[:, 0] += 0.01
+    for rounds in (0, 1, 40):
+        result = push_out(vertices, faces, ball, max_rounds=rounds)
+        distance, _, _ = ball.closest(sample_matrix(faces, len(vertices)) @ result.vertices)
+        assert result.inside == (distance < 0).mean()
+        assert result.deepest == pytest.approx(max(0.0, -distance.min()), abs=1e-12)
+        assert result.rounds <= rounds
+    assert result.is_outside
+
+
 def test_flat_body_gives_the_exact_least_displacement():
     box = trimesh.creation.box(extents=(2.0, 0.2, 2.0))
     body = ClosedSurface(box.vertices, box.faces)

@@ -2,8 +2,8 @@
 
 Constraints are that samples of the cloth (its vertices, the middles of its edges and faces) keep a clearance from the
 body. Each round linearises them at the closest points, takes the displacement of least squares norm that satisfies
-them (Hildreth 1957, all multipliers at once), and measures again. The result carries what was measured last, on every
-sample, so that nothing has to be believed.
+them (Hildreth 1957, all multipliers at once), and measures again what has moved. The result carries what was measured
+last of every sample, so that nothing has to be believed.
 """
 
 from dataclasses import dataclass
@@ -20,6 +20,7 @@ CLEARANCE = 0.002
 """Default distance that is kept from the body, metres: more than the body bulges between samples 1 cm apart."""
 
 _NEAR = 0.006
+"""Samples that are farther from where they should be than this take no part in a round, metres."""
 _INNER_STEPS = 60
 
 
@@ -83,24 +84,21 @@ def push_out(
     start = points.copy()
     samples = sample_matrix(faces, len(points))
     at = samples @ points
-    distance, _, away = body.closest(at, exact_below=_NEAR)
-    before = distance.copy()
     # Aim a little farther: the body is not flat, so the linearised step falls short.
     aim = clearance + 1e-4
+    reach = aim + _NEAR
+    distance, _, away = body.closest(at, exact_below=reach)
+    before = distance.copy()
     rounds = 0
     while rounds < max_rounds and (distance < clearance).any():
-        near = np.flatnonzero(distance < aim + _NEAR)
+        near = np.flatnonzero(distance < reach)
         points = points + _least_move(samples[near], away[near], aim - distance[near])
         rounds += 1
         moved = samples @ points
-        travelled = np.linalg.norm(moved - at, axis=1)
-        # Distance changes by at most what a sample has travelled: the others need no new measurement.
-        stale = np.flatnonzero(distance - travelled < aim + _NEAR)
-        distance = distance - travelled
-        distance[stale], _, away[stale] = body.closest(moved[stale], exact_below=_NEAR)
+        # Few samples move, and what has not moved is as far from the body as before.
+        stale = np.flatnonzero((moved != at).any(axis=1))
+        distance[stale], _, away[stale] = body.closest(moved[stale], exact_below=reach)
         at = moved
-    if rounds:
-        distance, _, _ = body.closest(at, exact_below=_NEAR)
     return PushedOut(
         vertices=points,
         inside_before=float((before < 0).mean()),
