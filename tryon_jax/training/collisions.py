@@ -55,8 +55,8 @@ class CollisionOptions:
     replay: float = 0.0
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
     R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
-    distance: Distance = "squared"
-    """Distance of the replayed drapes: squared or plain, best as R_fine was trained (see `displacement_error`)."""
+    distance: Distance = "plain"
+    """Distance of the replayed drapes: plain or squared, best as R_fine was trained (see `displacement_error`)."""
 
 
 @pytree

@@ -80,8 +80,8 @@ class StageOptions:
     """Arithmetic of the network while it is trained; weights, optimiser, losses and the result stay float32."""
     energy: float = 0.0
     """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
-    distance: Distance = "squared"
-    """Error that is minimised: squared, or the plain distance (see `stage_loss`)."""
+    distance: Distance = "plain"
+    """Error that is minimised: the plain distance, or the squared one (see `displacement_error`)."""
 
 
 def model_path(run: Path) -> Path:

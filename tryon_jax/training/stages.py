@@ -155,8 +155,9 @@ def displacement_error(
         targets: where they should be, metres.
         mask: which are no padding.
         scale: unit of length, metres.
-        distance: squared: the mean square of a coordinate's error. plain: the mean distance, which forgives a few
-            vertices far off: where cloth may fold either way, squares are least between the folds, where it never is.
+        distance: squared: the mean square of a coordinate's error. plain: the mean distance, the ℓ²-norm of each
+            vertex's error, which forgives a few vertices far off: where cloth may fold either way, squares are least
+            between the folds, where it never is.
     """
     error = jnp.where(mask[:, None, :, None], predicted - targets, 0.0) / scale
     squares = (error * error).sum(axis=3)
