@@ -114,7 +114,7 @@ def stage_loss(
     kind: str,
     stage: Stage,
     batch: StageBatch,
-    distance: Distance = "squared",
+    distance: Distance = "plain",
     energy: float = 0.0,
     fabric: Fabric | None = None,
 ) -> Float[Array, ""]:
@@ -146,7 +146,7 @@ def displacement_error(
     targets: Float[Array, "G B N 3"],
     mask: Bool[Array, "G N"],
     scale: Float[Array, ""],
-    distance: Distance = "squared",
+    distance: Distance,
 ) -> Float[Array, ""]:
     """Mean error over the scale (dimensionless), over a garment's vertices first, so that every drape counts alike.
 
