@@ -114,7 +114,7 @@ def stage_loss(
     kind: str,
     stage: Stage,
     batch: StageBatch,
-    distance: Distance = "plain",
+    distance: Distance = "squared",
     energy: float = 0.0,
     fabric: Fabric | None = None,
 ) -> Float[Array, ""]:
