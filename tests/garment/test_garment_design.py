@@ -109,7 +109,7 @@ def test_manifest() -> None:
     manifest = load_manifest()
     assert (len(manifest.training), len(manifest.unseen)) == (19, 6)
     assert (len(manifest.training_seeds), len(manifest.test_seeds)) == (2, 7)
-    assert len(manifest.additional) == 32
+    assert len(manifest.additional) == 64
     assert set(manifest.validation) < {d.label for d in manifest.additional}
     assert len({d.label for d in manifest.designs}) == 57
     assert len({tuple(d.values) for d in manifest.designs}) == 57
