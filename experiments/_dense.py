@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, PRNGKeyArray
 from tqdm import tqdm
 
 from experiments._evaluate import Stack
@@ -25,6 +25,8 @@ from tryon_jax.tryon import TryOnModel, config_space
 
 VALIDATION_EVERY = 8
 """Every so-many-th training shape of a garment chooses the weights, as for the graph networks."""
+FIRST_GAIN = 10.0
+"""Of the first layer's weights over Glorot's, see `init_dense`."""
 _CHUNK = 32
 Layers = tuple[tuple[Any, ...], tuple[Any, ...]]
 """Weights and biases of an `MLP`, as plain tuples for the optimiser."""
@@ -141,6 +143,16 @@ class DenseNetwork:
 _apply = jax.jit(apply_mlp)
 
 
+def init_dense(key: PRNGKeyArray, layers: Sequence[int]) -> MLP:
+    """Glorot's weights, larger in the first layer, so that its units bend over the range of the inputs.
+
+    Glorot's layer from five inputs to hundreds of units keeps them all linear in design and betas, and training stops
+    near the best linear map, with more than twice the error.
+    """
+    start = init_mlp(key, layers)
+    return MLP((FIRST_GAIN * start.weights[0], *start.weights[1:]), start.biases)
+
+
 def train_dense(
     samples: Sequence[DenseSamples],
     layers: Sequence[int],
@@ -176,7 +188,7 @@ def train_dense(
         return float(np.mean(errors))
 
     complete = {**identity, "layers": list(layers), "batch": batch, "options": asdict(options), "scale": scale}
-    start = init_mlp(jax.random.key(options.seed), layers)
+    start = init_dense(jax.random.key(options.seed), layers)
     result = train_loop(
         (start.weights, start.biases), loss, draw, evaluate, folder, options, complete, "fully connected"
     )

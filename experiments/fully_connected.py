@@ -46,7 +46,7 @@ class Config:
     vertices: int = DENSE_VERTICES
     """Vertices of the dense mesh, as in the paper."""
     loop: LoopOptions = field(
-        default_factory=lambda: LoopOptions(steps=600, learning_rate=5e-4, warmup=50, evaluate_every=100)
+        default_factory=lambda: LoopOptions(steps=2000, learning_rate=5e-3, warmup=50, evaluate_every=200)
     )
     batch: int = 32
     """Samples in a mini-batch."""

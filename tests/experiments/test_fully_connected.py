@@ -1,10 +1,11 @@
 """The fully connected baseline on data that a small network can learn, its dense mesh, its guard and its table."""
 
+import jax
 import numpy as np
 import pytest
 from tiny_garments import AREA, FABRIC, tiny_model
 
-from experiments._dense import DenseGarment, DenseMeshes, DenseSamples, load_samples, train_dense
+from experiments._dense import DenseGarment, DenseMeshes, DenseSamples, init_dense, load_samples, train_dense
 from experiments.fully_connected import draw, markdown, summarise
 from experiments.memory import dense_bytes, dense_layers
 from tryon_jax.garment import DENSE_VERTICES, load_manifest, remesh
@@ -39,6 +40,17 @@ def test_it_learns_and_continues_where_it_stopped(tmp_path):
     np.testing.assert_array_equal(again.mlp.weights[0], network.mlp.weights[0])
     with pytest.raises(ValueError, match="holds another run"):
         train_dense(data, [5, 24, 15], tmp_path, options, 16, {"data": "other"})
+
+
+def test_units_bend_over_the_range_of_designs_and_betas():
+    """With hundreds of units on five inputs, too: what they give is no straight line."""
+    network = init_dense(jax.random.key(0), [5, 806, 3])
+    along = np.linspace(-1.0, 1.0, 41)
+    inputs = np.zeros((41, 5), np.float32)
+    inputs[:, 0] = along
+    given = np.tanh(inputs @ np.asarray(network.weights[0]))
+    straight = np.outer(along, along @ given) / (along @ along)
+    assert np.linalg.norm(given - straight) > 0.03 * np.linalg.norm(given)
 
 
 def test_the_papers_size():
