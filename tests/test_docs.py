@@ -103,10 +103,12 @@ class served:
         """Until the test goes on."""
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "benchmarks" / "PENDING_GPU.md"], ids=lambda p: p.name)
 def test_experiments_and_benchmarks_know_the_options(page):
-    for line in shell_lines(page, r"(\S*/)?python3? -m (experiments|benchmarks)"):
-        package, name, *options = shlex.split(line, comments=True)[2:]
+    lines = shell_lines(page, r"(timeout \d+ )?(\S*/)?python3? -m (experiments|benchmarks)")
+    for line in itertools.chain.from_iterable(line.split(" && ") for line in lines):
+        words = shlex.split(line, comments=True)
+        package, name, *options = words[words.index("-m") + 1 :]
         assert name in find_commands(package), line
         module = importlib.import_module(f"{package}.{name}")
         tyro.cli(module.Config, args=options, config=(tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes))
