@@ -147,7 +147,7 @@ def init_dense(key: PRNGKeyArray, layers: Sequence[int]) -> MLP:
     """Glorot's weights, larger in the first layer, so that its units bend over the range of the inputs.
 
     Glorot's layer from five inputs to hundreds of units keeps them all linear in design and betas, and training stops
-    near the best linear map, with more than twice the error.
+    near the best linear map.
     """
     start = init_mlp(key, layers)
     return MLP((FIRST_GAIN * start.weights[0], *start.weights[1:]), start.biases)

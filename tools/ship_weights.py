@@ -26,18 +26,18 @@ TORN = 1.0
 DESIGNS = ("tank", "tshirt", "sweater", "dress", "maxi-dress")
 SHAPES = np.array([[0.0, 0.0], [2.5, 0.5], [-2.5, -0.5], [0.5, 1.8], [-0.5, -1.8]], np.float32)
 MODELS = Path("tryon_jax/data/models")
+_drape = jax.jit(drape, static_argnames="fabric")
 
 
 def largest_change(one: TryOnModel, other: TryOnModel) -> float:
     """Largest distance between the drapes of two models over designs, shapes and fabrics, metres."""
-    run = jax.jit(drape, static_argnames="fabric")
     worst = 0.0
     shapes = jnp.asarray(SHAPES[:, : one.config.num_betas])
     for design in DESIGNS:
         garment = prepare(one, design)
         for fabric in one.config.fabrics:
-            difference = garment.unpad(run(one, garment, shapes, fabric=fabric)) - garment.unpad(
-                run(other, garment, shapes, fabric=fabric)
+            difference = garment.unpad(_drape(one, garment, shapes, fabric=fabric)) - garment.unpad(
+                _drape(other, garment, shapes, fabric=fabric)
             )
             worst = max(worst, float(np.linalg.norm(difference, axis=-1).max()))
     return worst
@@ -54,9 +54,8 @@ def largest_strain(model: TryOnModel, design: str, fabric: str) -> tuple[float, 
     """Largest strain of any edge against the drape on the mean body, and the betas where it is."""
     garment = prepare(model, design)
     betas = bodies_all_over_the_range()
-    drapes = garment.unpad(jax.jit(drape, static_argnames="fabric")(model, garment, betas, fabric=fabric))
-    mean = np.asarray(garment.unpad(garment.graph.vertices))
-    strains = [edge_strain(np.asarray(row), garment.faces, mean, garment.faces).max() for row in drapes]
+    drapes = garment.unpad(_drape(model, garment, betas, fabric=fabric))
+    strains = [edge_strain(row, garment.faces, garment.mean_vertices, garment.faces).max() for row in drapes]
     worst = int(np.argmax(strains))
     return float(strains[worst]), betas[worst]
 
