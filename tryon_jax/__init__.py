@@ -12,10 +12,13 @@ from tryon_jax.body import (
 )
 from tryon_jax.garment import load_design_space, remesh
 from tryon_jax.tryon import (
+    DrapeFields,
     Garment,
     TryOnModel,
+    apply_fields,
     body_contact,
     drape,
+    drape_fields,
     drape_stages,
     init_model,
     load_model,
@@ -29,11 +32,14 @@ from tryon_jax.tryon import (
 __version__ = "0.1.0"
 
 __all__ = [
+    "DrapeFields",
     "Garment",
     "TryOnModel",
+    "apply_fields",
     "betas_from_measurements",
     "body_contact",
     "drape",
+    "drape_fields",
     "drape_stages",
     "face_normals",
     "init_model",

@@ -47,7 +47,10 @@ class Inspector:
         points = np.concatenate([x, np.einsum("sk,fkc->fsc", FACE_SAMPLES, x[faces]).reshape(-1, 3)])
         points = points.astype(np.float32)
         vertex = nearest_vertices(surface, points)
-        distance = np.asarray(_signed(surface, points, vertex).distance)
+        nearest = _signed(surface, points, vertex)
+        # The distance along the interpolated normal, whose sign alone is used, is shorter than the true one.
+        length = np.linalg.norm(points - np.asarray(nearest.position), axis=1)
+        distance = np.where(np.asarray(nearest.distance) < 0, -length, length)
         distance = distance[~self._extremity[vertex]]
         return float(-distance.min()), float((distance < 0).mean())
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from tryon_jax.checks import check_finite
-from tryon_jax.garment import Design, DesignSpace, GarmentMesh, remesh
+from tryon_jax.garment import Design, DesignSpace, GarmentMesh, placement, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import build_graph, pad_rows
 from tryon_jax.graph.pooling import closest_on_triangles
@@ -85,7 +85,14 @@ def prepare_mesh(
     points = check_finite("garment vertices", np.asarray(vertices))
     config = model.config
     graph = build_graph(
-        points, mesh.faces, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+        points,
+        mesh.faces,
+        model.body,
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        bucket=bucket,
+        pattern=placement(mesh),
+        laplacian=config.laplacian,
     )
     size = graph.num_nodes
     template_vertices = np.zeros((size, 3), np.int32)
@@ -137,7 +144,13 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     known = area / _DENSITY_RANGE <= areas.mean() <= area * _DENSITY_RANGE and areas.std() <= areas.mean()
     points, triangles = (vertices, faces) if known else resample(vertices, faces, area)
     graph = build_graph(
-        points, triangles, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+        points,
+        triangles,
+        model.body,
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        bucket=bucket,
+        laplacian=config.laplacian,
     )
     smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
     if known:
