@@ -11,7 +11,7 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
-from tryon_jax.tryon.preparation import prepare, prepare_mesh
+from tryon_jax.tryon.preparation import design_of, prepare, prepare_mesh
 from tryon_jax.tryon.stages import (
     DrapeStages,
     apply_stage,
@@ -37,6 +37,7 @@ __all__ = [
     "body_contact",
     "carry",
     "config_space",
+    "design_of",
     "drape",
     "drape_stages",
     "fine_features",

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,7 +59,7 @@ def prepare(
             raise ValueError("prepare takes a design or a mesh, not both")
         return _prepare_own(model, _load_own(mesh), area, bucket)
     space = config_space(model.config)
-    return prepare_mesh(model, remesh(space, _as_design(space, design), area, seed=seed), bucket=bucket)
+    return prepare_mesh(model, remesh(space, design_of(space, design), area, seed=seed), bucket=bucket)
 
 
 def prepare_mesh(
@@ -101,7 +100,12 @@ def prepare_mesh(
     )
 
 
-def _as_design(space: DesignSpace, design: Any) -> Design:
+def design_of(space: DesignSpace, design: Design | Mapping[str, float] | Sequence[float] | str | None) -> Design:
+    """The design that is meant by parameters in metres by name or in order, the name of a preset, or None: the mean.
+
+    Raises:
+        ValueError: Unknown names, or values out of range.
+    """
     if design is None:
         return space.mean_design
     if isinstance(design, Design):
@@ -109,8 +113,8 @@ def _as_design(space: DesignSpace, design: Any) -> Design:
     if isinstance(design, str):
         return space.preset(design)
     if isinstance(design, Mapping):
-        return space.design(**design)
-    return space.from_values(design)
+        return space.design("", **design)
+    return space.from_values(np.asarray(design, float))
 
 
 def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) -> LoadedGarment:
