@@ -25,9 +25,10 @@ from experiments._evaluate import (
 from experiments._neighbours import Drapes, NearestGarments, load_drapes, transfer
 from experiments._record import RESULTS, publish, read_result
 from experiments.ablation import block_ratio
-from tryon_jax.atomic import atomic_path
+from tryon_jax.contact.skin import Skin
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.metrics import Skin, compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
@@ -96,12 +97,12 @@ def main(config: Config) -> None:
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
-    pipeline, skin = Pipeline(model), Skin(model.body)
+    pipeline = Pipeline(model)
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
             rows = wanted[case, name]
-            measured = measure(garments[name], rows, pipeline, neighbours, skin, config.inside_shapes)
+            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes)
             measure_spread(measured, config.data, garments[name], rows, trained)
             for row, by_fabric in measured.items():
                 for fabric, errors in by_fabric.items():
@@ -124,7 +125,7 @@ def measure(
     rows: np.ndarray,
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
-    skin: Skin,
+    body: Body,
     inside_shapes: int,
 ) -> Table:
     """Errors of every row of the table on one garment."""
@@ -133,14 +134,14 @@ def measure(
         return table
     count, ends = samples.garment.num_vertices, ray_ends(samples.betas[rows])
     looked_at = spread(len(rows), inside_shapes)
-    bodies = [skin.at(samples.betas[rows[k]]) for k in looked_at]
+    skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
     for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
         simulated = samples.drapes[fabric][rows, :count]
         fine = _fine(samples, simulated)
         for row, predicted in {**drapes, "simulation": simulated}.items():
             errors = table.setdefault(row, {}).setdefault(fabric, Errors())
             errors.add(vertex_distances(predicted, simulated), ends)
-            errors.inside += [body.inside_share(predicted[k]) for body, k in zip(bodies, looked_at, strict=True)]
+            errors.inside += [skin.inside_share(predicted[k]) for skin, k in zip(skins, looked_at, strict=True)]
             if len(rows) > 1:
                 errors.wrinkles.append(compare_wrinkles(_fine(samples, predicted), fine))
         own = table.setdefault("smooth, own target", {}).setdefault(fabric, Errors())

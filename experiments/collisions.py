@@ -10,11 +10,12 @@ from tqdm import tqdm
 
 from experiments._evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
 from experiments._record import RESULTS, publish
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.mesh.signed_distance import ClosedSurface
-from tryon_jax.metrics import Skin, vertex_distances
+from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.store import read_record
-from tryon_jax.pushout import push_out
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import chain, model_path
@@ -73,7 +74,7 @@ def measure(
     pushed: bool = False,
 ) -> dict[str, Any]:
     """Penetration by signed distance and error over test shapes of each case; `pushed`: after the push-out as well."""
-    pipeline, skin = Pipeline(model), Skin(model.body)
+    pipeline = Pipeline(model)
     measured: dict[str, Any] = {}
     for case, group in cases.items():
         found: list[tuple[float, ...]] = []
@@ -85,7 +86,7 @@ def measure(
             shaped = body_vertices(model, samples.betas[rows])
             for fabric, predicted in pipeline(samples, rows, fabrics).items():
                 for k, row in enumerate(rows):
-                    body = skin.at(samples.betas[row])
+                    body = Skin.of_shape(model.body, samples.betas[row])
                     simulated = samples.drapes[fabric][row, :count]
                     here = body.penetration(predicted.fine[k], faces)
                     there = body.penetration(simulated, faces)

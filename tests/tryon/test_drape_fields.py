@@ -9,7 +9,7 @@ import pytest
 from jax.test_util import check_grads
 
 from benchmarks._machine import counting_compilations
-from tests.test_tryon import TINY
+from tests.tryon.test_tryon import TINY
 from tryon_jax.garment import build_template, load_design_space, placement
 from tryon_jax.graph.resample import split_long_edges
 from tryon_jax.nets import apply_mlp, paper_form

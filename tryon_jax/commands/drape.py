@@ -13,21 +13,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from tryon_jax.atomic import write_text
 from tryon_jax.body import load_smpl
+from tryon_jax.checks import check_choice, check_range
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
-from tryon_jax.commands._studio import Draped, Studio
-from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
-from tryon_jax.fit import Fit
-from tryon_jax.other_body import meet
-from tryon_jax.posing import read_pose
-from tryon_jax.pushout import CLEARANCE
-from tryon_jax.render import ColorScale, render_picture
+from tryon_jax.commands._report import record, report_lines
+from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests, resolve_betas, resolve_design
+from tryon_jax.files.atomic import write_text
+from tryon_jax.files.export import WRITERS, check_suffix
+from tryon_jax.render import render_picture
+from tryon_jax.render.fit_maps import MAPS, map_colors
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.tryon import TryOnModel, load_model
+from tryon_jax.wear.dressed import DressedBody
+from tryon_jax.wear.posing import read_pose
+from tryon_jax.wear.session import Session
 
 
 @dataclass(frozen=True)
@@ -80,13 +79,6 @@ def _load(weights: Path | None) -> TryOnModel:
     return load_pretrained()
 
 
-_SCALES = {
-    "ease": ColorScale("distance from the body, cm", 0, 8),
-    "tension": ColorScale("stretch of the cloth, %", -10, 10, "diverging"),
-    "penetration": ColorScale("depth inside the body, mm", 0, 10),
-}
-
-
 def main(config: Config) -> None:
     """Drape what is asked for, write the files, and print the fit and where the time went."""
     clock = Clock()
@@ -94,33 +86,46 @@ def main(config: Config) -> None:
     with clock.stage("weights"):
         model = _load(config.weights)
     with clock.stage("body"):
-        known = model.body, model.config.num_betas
-        other_body = None if config.smpl is None else meet(load_smpl(config.smpl), *known)
-    studio = Studio(
-        model,
-        clock,
-        clearance=CLEARANCE if config.push_out else None,
-        other_body=other_body,
-        triangle_area=config.triangle_area,
-        seed=config.seed,
-    )
+        session = Session(
+            model, body=None if config.smpl is None else load_smpl(config.smpl), triangle_area=_area(config)
+        )
     pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
     rows = []
     for request, target in zip(requests, targets, strict=True):
-        draped = studio.drape(request)
+        dressed, remarks = _answer(session, request, config, clock)
         if pose is not None:
-            draped = studio.pose(draped, pose)
+            dressed = session.pose(dressed, pose, stopwatch=clock)
         if config.batch is not None:
             print(f"-- {request.name}")
-        for line in draped.lines:
+        for line in report_lines(dressed, remarks):
             print(line)
-        for path in target.write(draped, config, clock):
+        for path in target.write(dressed, request, config, clock):
             print(f"wrote    {path}")
-        rows.append(draped.record(request))
+        rows.append(record(dressed, request.name))
     if config.batch is not None and config.out is not None:
         _write_table(config.out / "fit.csv", rows)
         print(f"wrote    {config.out / 'fit.csv'}")
     print(clock)
+
+
+def _area(config: Config) -> float | None:
+    """Mean area of the cloth's triangles, square metres."""
+    if config.triangle_area is None:
+        return None
+    return 1e-4 * check_range("triangle area", config.triangle_area, 0.1, 30.0, "cm^2")
+
+
+def _answer(session: Session, request: Request, config: Config, clock: Clock) -> tuple[DressedBody, list[str]]:
+    """The dressed body of one request, and what there is to say about its shape."""
+    fabric = check_choice("fabric", request.fabric or session.fabrics[0], session.fabrics)
+    with clock.stage("body"):
+        betas, remarks = resolve_betas(session.body, request.shape, session.num_betas)
+    design = None if request.mesh is not None else resolve_design(session.space, request.cut)
+    garment = session.prepare(design, mesh=request.mesh, seed=config.seed, stopwatch=clock)
+    dressed = session.drape(garment, betas, fabric=fabric, stopwatch=clock)
+    if config.push_out:
+        dressed = session.push_out(dressed, stopwatch=clock)
+    return session.measure(dressed, stopwatch=clock), remarks
 
 
 @dataclass(frozen=True)
@@ -131,46 +136,26 @@ class Target:
     picture: Path | None = None
     report: Path | None = None
 
-    def write(self, draped: Draped, config: Config, clock: Clock) -> list[Path]:
+    def write(self, dressed: DressedBody, request: Request, config: Config, clock: Clock) -> list[Path]:
         """Write them and return their paths."""
-        colors = None if config.map is None else _SCALES[config.map].colors(_map_values(config.map, draped.fit))
+        colors = None if config.map is None or dressed.fit is None else map_colors(dressed.fit, config.map)
         if self.mesh is not None:
             with clock.stage("mesh file"):
-                mesh = draped.prepared
-                body = mesh_part("body", *draped.body, material=SKIN)
-                garment = mesh_part(
-                    "garment",
-                    draped.vertices,
-                    mesh.faces,
-                    material=CLOTH,
-                    uv=mesh.uv,
-                    faces_uv=mesh.faces_uv,
-                    colors=colors,
-                )
-                write_mesh(self.mesh, [body, garment])
+                dressed.write(self.mesh, colors)
         if self.picture is not None:
             with clock.stage("picture"):
-                options = {} if colors is None else {"garment_colors": colors, "scale": _SCALES[str(config.map)]}
+                options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(config.map)]}
                 render_picture(
                     self.picture,
-                    draped.body,
-                    (draped.vertices, draped.prepared.faces),
+                    (dressed.body.vertices, dressed.body.faces),
+                    (dressed.vertices, dressed.faces),
                     views=[float(v) if v.lstrip("-").isdigit() else v for v in config.views],
                     height=config.height,
                     **options,
                 )
         if self.report is not None:
-            write_text(self.report, json.dumps(draped.record(Request()), indent=2) + "\n")
+            write_text(self.report, json.dumps(record(dressed, request.name), indent=2) + "\n")
         return [path for path in (self.mesh, self.picture, self.report) if path is not None]
-
-
-def _map_values(name: str, fit: Fit) -> np.ndarray:
-    values = {
-        "ease": 100 * fit.clearance,
-        "tension": 100 * fit.tension,
-        "penetration": 1000 * np.maximum(-fit.clearance, 0),
-    }
-    return values[name]
 
 
 def _plan(config: Config) -> tuple[list[Request], list[Target]]:

@@ -33,10 +33,10 @@ def main(config: Config) -> None:
     """Serve until interrupted."""
     try:
         from tryon_jax.viewer import serve
-        from tryon_jax.viewer.wardrobe import OwnMesh
+        from tryon_jax.viewer.page_model import UploadedMesh
     except ImportError as error:
         raise ImportError(f"the viewer needs viser: pip install 'tryon_jax[viewer]' ({error})") from error
-    own = None if config.garment is None else OwnMesh(str(config.garment), load_garment(config.garment))
+    own = None if config.garment is None else UploadedMesh(str(config.garment), load_garment(config.garment))
     own_body = None if config.smpl is None else load_smpl(config.smpl)
     model = load_pretrained() if config.weights is None else load_model(config.weights)
     named = {"--smpl": config.smpl, "--weights": config.weights}

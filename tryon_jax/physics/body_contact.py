@@ -8,7 +8,8 @@ a millimetre) and holds tight woven cloth (tens of kilopascals) off the skin, at
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from tryon_jax.contact import Surface, SurfacePoint, follow_faces, point_on_faces
+from tryon_jax.contact.closest_points import SurfacePoint, follow_faces, point_on_faces
+from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.types import Scalar, pytree
@@ -78,7 +79,7 @@ def body_contact(
     # Vertices and face centres share the area evenly: both must be held off, neither counts double.
     areas = 0.5 * jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     thickness = jnp.asarray(fabric.thickness, x.dtype)
-    approach = thickness - point.distance
+    approach = thickness - point.height
     value, _ = pressure(approach, thickness, law)
     _, slope = pressure(approach + jnp.where(approach > 0, margin, 0.0), thickness, law)
     force = areas * value

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from tryon_jax.contact import Surface
+from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stiffness
 from tryon_jax.physics.body_contact import (
     Contact,
@@ -217,7 +217,7 @@ def step(
     report = StepReport(
         residual=jnp.linalg.norm(system.gradient * free) / scale,
         move=jnp.sqrt((move * move * cloth.active[:, None]).sum() / cloth.active.sum()),
-        depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.distance, -1.0)),
+        depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.height, -1.0)),
         steps=jnp.ones((), jnp.int32),
         iterations=iterations,
     )

@@ -1,5 +1,6 @@
 """The method put together: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
 
+from tryon_jax.contact.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
 from tryon_jax.tryon.draping import (
     DrapeFields,
     DrapeStages,
@@ -24,8 +25,7 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
-from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
-from tryon_jax.tryon.preparation import prepare, prepare_mesh
+from tryon_jax.tryon.preparation import design_of, prepare, prepare_mesh
 from tryon_jax.tryon.stages import apply_stage, base_and_detail, fine_base, fine_stage, smooth_stage
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "body_contact",
     "carry",
     "config_space",
+    "design_of",
     "drape",
     "drape_fields",
     "drape_stages",

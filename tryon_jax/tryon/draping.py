@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tryon_jax.checks import check_choice
+from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.nets.mlp import MLP, apply_mean_drape
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import Stage, TryOnModel
-from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.tryon.stages import (
     base_and_detail,
     field_coefficients,
@@ -116,7 +116,7 @@ def drape_stages(
         smooth = carry(garment, moved, vertices)
     report = None
     if contact is not None:
-        report = report_penetration(contact, model.body, garment, fine, rows)
+        report = report_penetration(contact, model.body, fine, rows, garment.body_vertices, garment.mask)
         report = jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), report)
     smooth, fine = (x.reshape(*batch, *x.shape[1:]) for x in (smooth, fine))
     return DrapeStages(carry(garment, vertices, vertices), smooth, fine, report)

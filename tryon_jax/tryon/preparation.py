@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +12,9 @@ from tryon_jax.checks import check_finite
 from tryon_jax.garment import Design, DesignSpace, GarmentMesh, placement, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import build_graph, pad_rows
-from tryon_jax.graph.pooling import closest_on_triangles
 from tryon_jax.graph.resample import resample
 from tryon_jax.graph.smoothing import make_smoother
+from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon.garment import Garment, OwnMesh
@@ -60,7 +59,7 @@ def prepare(
             raise ValueError("prepare takes a design or a mesh, not both")
         return _prepare_own(model, _load_own(mesh), area, bucket)
     space = config_space(model.config)
-    return prepare_mesh(model, remesh(space, _as_design(space, design), area, seed=seed), bucket=bucket)
+    return prepare_mesh(model, remesh(space, design_of(space, design), area, seed=seed), bucket=bucket)
 
 
 def prepare_mesh(
@@ -108,7 +107,12 @@ def prepare_mesh(
     )
 
 
-def _as_design(space: DesignSpace, design: Any) -> Design:
+def design_of(space: DesignSpace, design: Design | Mapping[str, float] | Sequence[float] | str | None) -> Design:
+    """The design that is meant by parameters in metres by name or in order, the name of a preset, or None: the mean.
+
+    Raises:
+        ValueError: Unknown names, or values out of range.
+    """
     if design is None:
         return space.mean_design
     if isinstance(design, Design):
@@ -116,8 +120,8 @@ def _as_design(space: DesignSpace, design: Any) -> Design:
     if isinstance(design, str):
         return space.preset(design)
     if isinstance(design, Mapping):
-        return space.design(**design)
-    return space.from_values(design)
+        return space.design("", **design)
+    return space.from_values(np.asarray(design, float))
 
 
 def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) -> LoadedGarment:
@@ -155,13 +159,13 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
     if known:
         return Garment(graph, smoother)
-    face, weights = closest_on_triangles(vertices, points, triangles)
+    found = MeshSearch(points, triangles).closest(vertices)
     size = bucket_size(len(vertices))
     own = OwnMesh(
         vertices=pad_rows(vertices, size, np.float32),
         faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
-        carriers=pad_rows(triangles[face], size, np.int32),
-        weights=pad_rows(weights, size, np.float32),
+        carriers=pad_rows(triangles[found.face], size, np.int32),
+        weights=pad_rows(found.weights, size, np.float32),
         num_vertices=np.asarray(len(vertices), np.int32),
     )
     return Garment(graph, smoother, own=own)

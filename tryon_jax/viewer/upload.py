@@ -10,7 +10,7 @@ import viser
 
 from tryon_jax.checks import check_choice
 from tryon_jax.mesh.repair import FORMATS, load_garment
-from tryon_jax.viewer.wardrobe import OwnMesh
+from tryon_jax.viewer.page_model import UploadedMesh
 
 MAX_BYTES = 20_000_000
 """Largest file that is taken; a garment of 100,000 vertices as an OBJ file is about half of it."""
@@ -25,7 +25,7 @@ def check_size(name: str, size: int) -> None:
         raise ValueError(f"{name!r} has {size / 1e6:.1f} MB, but at most {MAX_BYTES / 1e6:g} MB are taken")
 
 
-def read_upload(name: str, content: bytes) -> OwnMesh:
+def read_upload(name: str, content: bytes) -> UploadedMesh:
     """The garment in an uploaded file.
 
     Raises:
@@ -45,7 +45,7 @@ def read_upload(name: str, content: bytes) -> OwnMesh:
     count = sum(len(piece.vertices) for piece in loaded.pieces)
     if count > MAX_VERTICES:
         raise ValueError(f"{shown!r} has {count} vertices, but at most {MAX_VERTICES} are taken")
-    return OwnMesh(shown, loaded)
+    return UploadedMesh(shown, loaded)
 
 
 def refuse_large_uploads(client: viser.ClientHandle, refused: Callable[[Exception], None]) -> None:

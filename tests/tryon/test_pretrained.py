@@ -1,0 +1,62 @@
+"""The model in the wheel: it is the promise of the library, so its drapes are checked as drapes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import tryon_jax as tj
+from tools.ship_weights import DESIGNS, TORN, largest_strain
+from tryon_jax.contact.closest_points import closest_points
+from tryon_jax.contact.surface import build_surface
+
+
+@pytest.fixture(scope="module")
+def model() -> tj.TryOnModel:
+    return tj.load_pretrained()
+
+
+def test_unknown_name_is_refused():
+    with pytest.raises(ValueError, match="unknown pretrained model 'smal'"):
+        tj.load_pretrained("smal")
+
+
+def test_drapes_hang_on_the_body(model):
+    """Near the skin and hardly inside it, on shapes in all directions."""
+    garment = tj.prepare(model, "tshirt")
+    drape = jax.jit(tj.drape, static_argnames="fabric")
+    betas = jnp.array([[0.0, 0.0], [2.0, 0.0], [-2.0, 0.0], [0.0, 1.3], [0.0, -1.3], [1.4, 1.0], [-1.4, -1.0]])
+    for fabric in model.config.fabrics:
+        vertices = garment.unpad(drape(model, garment, betas, fabric=fabric))
+        for row, shape in zip(vertices, betas, strict=True):
+            skin, _ = tj.shape_body(model.body, shape)
+            distance = np.asarray(closest_points(build_surface(skin, model.body.faces), row).height)
+            assert np.median(distance) < 0.06
+            assert (distance < -0.005).mean() < 0.01
+            assert (distance < 0).mean() < 0.04
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_no_drape_is_torn_anywhere_in_the_range_of_bodies(model, design):
+    """Mean errors do not show a collar that collapses on one body; edges do, on shapes all over the range."""
+    for fabric in model.config.fabrics:
+        strain, betas = largest_strain(model, design, fabric)
+        assert strain < TORN, f"{design} in {fabric} on betas {betas}"
+
+
+def test_garments_follow_the_body(model):
+    """A taller body wears the same T-shirt higher above its pelvis, by centimetres."""
+    garment = tj.prepare(model, "tshirt")
+    drape = jax.jit(tj.drape, static_argnames="fabric")
+    low, high = (garment.unpad(drape(model, garment, jnp.array([b, 0.0]))) for b in (-2.0, 2.0))
+    assert high[:, 1].max() - low[:, 1].max() > 0.04
+
+
+def test_record_tells_how_it_was_trained(model):
+    from importlib import resources
+
+    from tryon_jax.nets.store import read_record
+
+    record = read_record(resources.files("tryon_jax") / "data" / "models" / "small.safetensors")
+    assert {"mean", "smooth"} <= set(record["training"])
+    assert all(f"fine-{fabric}" in record["training"] for fabric in model.config.fabrics)
