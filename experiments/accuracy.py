@@ -67,7 +67,7 @@ class Config:
     run: Path = Path("runs/small")
     """Folder of the run."""
     paper_form: Path | None = None
-    """Folder of a run in the paper's form (`train --conditioning node`), measured beside it."""
+    """Folder of a run in the paper's form (`train --size small-node`), measured beside it."""
     dressed: Path | None = None
     """Folder of a dataset whose garments were dressed by themselves (`simulate --convention dressed`): how far the
     pipeline, and the convention that it learns, are from those."""

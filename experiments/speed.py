@@ -26,14 +26,27 @@ from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, foll
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.training.recipes import model_path
-from tryon_jax.tryon import TryOnModel, config_space, drape, prepare_mesh
+from tryon_jax.tryon import (
+    Garment,
+    TryOnModel,
+    apply_fields,
+    config_space,
+    drape,
+    drape_fields,
+    load_model,
+    load_pretrained,
+    prepare_mesh,
+)
 
 ROWS = {
-    "drape": "learned drape, one body",
-    "drape, batch": "learned drape, each of a batch of bodies",
+    "drape": "learned drape, networks included, one body",
+    "fields": "learned drape from fields made once, one body",
+    "fields, batch": "the same, each of a batch of bodies",
+    "paper form": "the paper's form, betas at each node, one body",
+    "paper form, batch": "the same, each of a batch of bodies",
     "pushed out": "learned drape and push-out",
     "transfer": "nearest-body-vertex transfer",
-    "simulator": "simulator along the ray of shapes, as the data were made",
+    "simulator": "simulator along the ray of shapes, dressed by itself",
     "simulator, at once": "simulator in one step from the mean body",
 }
 """What is done for each new body; the first simulator row is the reference of the distances."""
@@ -53,8 +66,10 @@ class Config:
     """The body that is dressed; on none of the simulated rays."""
     fabric: str = "gray-interlock"
     """Fabric."""
-    batch: int = 16
-    """Bodies in the batched drape."""
+    paper_form: Path | None = None
+    """Model file in the paper's form, timed beside it; by default the one in the package."""
+    batch: int = 64
+    """Bodies in a batch."""
     ray: int = 8
     """Shapes on the way from the mean body, as on the rays of the dataset."""
     repeats: int = 10
@@ -69,7 +84,8 @@ def main(config: Config) -> None:
     """Time everything on the same garments and body, and measure how far each result is from the simulation."""
     weights = model_path(config.run)
     model = open_model(weights, config.untrained, (config.fabric,))
-    garments = [time_garment(model, design, config) for design in tqdm(config.designs, desc="designs")]
+    rival = load_pretrained("paper-form") if config.paper_form is None else load_model(config.paper_form)
+    garments = [time_garment(model, rival, design, config) for design in tqdm(config.designs, desc="designs")]
     results = {
         "fabric": config.fabric,
         "betas": config.betas,
@@ -80,7 +96,7 @@ def main(config: Config) -> None:
     publish(config, "speed", results, markdown, draw, weights=weights)
 
 
-def time_garment(model: TryOnModel, design: str, config: Config) -> dict[str, Any]:
+def time_garment(model: TryOnModel, rival: TryOnModel, design: str, config: Config) -> dict[str, Any]:
     """Times and distances of all rows for one garment."""
     space, betas = config_space(model.config), np.asarray(config.betas)
     once: dict[str, float] = {}
@@ -108,11 +124,14 @@ def time_garment(model: TryOnModel, design: str, config: Config) -> dict[str, An
 
     along()
     truth, jump = along(), at_once()
-    run = jax.jit(drape, static_argnames="fabric").lower(model, garment, jnp.asarray(betas, jnp.float32), config.fabric)
-    one = run.compile()
-    many = jnp.asarray(np.broadcast_to(betas, (config.batch, len(betas))), jnp.float32)
-    batched = jax.jit(drape, static_argnames="fabric").lower(model, garment, many, config.fabric).compile()
     held, shape = jax.device_put(garment), jnp.asarray(betas, jnp.float32)
+    many = jnp.asarray(np.broadcast_to(betas, (config.batch, len(betas))), jnp.float32)
+    one = _compiled(model, held, shape, config.fabric)
+    make = jax.jit(drape_fields, static_argnames="fabric").lower(model, held, config.fabric).compile()
+    fields, once["drape fields of a garment and fabric"] = _timed(lambda: jax.block_until_ready(make(model, held)))
+    of_one, of_many = (jax.jit(apply_fields).lower(fields, b).compile() for b in (shape, many))
+    rival_held = jax.device_put(prepare_mesh(rival, mesh))
+    rival_one, rival_many = (_compiled(rival, rival_held, b, config.fabric) for b in (shape, many))
     predicted = garment.unpad(one(model, held, shape))
     shaped = body_vertices(model, betas[None].astype(np.float32))[0]
     faces = np.asarray(model.body.faces)
@@ -133,15 +152,20 @@ def time_garment(model: TryOnModel, design: str, config: Config) -> dict[str, An
     few = max(3, config.repeats // 3)
     timings = {
         "drape": measure(one, model, held, shape, repeats=config.repeats),
-        "drape, batch": measure(batched, model, held, many, repeats=config.repeats),
+        "fields": measure(of_one, fields, shape, repeats=10 * config.repeats),
+        "fields, batch": measure(of_many, fields, many, repeats=10 * config.repeats),
+        "paper form": measure(rival_one, rival, rival_held, shape, repeats=config.repeats),
+        "paper form, batch": measure(rival_many, rival, rival_held, many, repeats=config.repeats),
         "pushed out": measure(pushed, repeats=few),
         "transfer": measure(transferred, repeats=config.repeats),
         "simulator": _measure_host(along, few),
         "simulator, at once": _measure_host(at_once, few),
     }
-    share = {"drape, batch": config.batch}
+    share = {"fields, batch": config.batch, "paper form, batch": config.batch}
     distances = {
         "drape": predicted,
+        "fields": garment.unpad(of_one(fields, shape)),
+        "paper form": garment.unpad(rival_one(rival, rival_held, shape)),
         "pushed out": pushed(),
         "transfer": transferred(),
         "simulator, at once": jump.vertices,
@@ -164,6 +188,10 @@ def time_garment(model: TryOnModel, design: str, config: Config) -> dict[str, An
         "residual": {"simulator": float(truth.report.residual), "simulator, at once": float(jump.report.residual)},
         "tolerance": rest.tolerance,
     }
+
+
+def _compiled(model: TryOnModel, garment: Garment, betas: jax.Array, fabric: str) -> Callable[..., jax.Array]:
+    return jax.jit(drape, static_argnames="fabric").lower(model, garment, betas, fabric).compile()
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
@@ -207,11 +235,16 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         once = ", ".join(f"{title} {seconds:.2f} s" for title, seconds in garment["once_seconds"].items())
         lines += ["", f"Once for each design: {once}.", ""]
     factors = [g["rows"]["simulator"]["seconds"] / g["rows"]["drape"]["seconds"] for g in results["garments"]]
+    rows = [g["rows"] for g in results["garments"]]
+    gains = [[r[f"paper form{b}"]["seconds"] / r[f"fields{b}"]["seconds"] for r in rows] for b in ("", ", batch")]
     nearer = all(g["distance_mm"]["drape"] < g["distance_mm"]["transfer"] for g in results["garments"])
     return [
         *lines,
         f"The learned drape is {min(factors):.0f} to {max(factors):.0f} times faster than the simulator at a residual "
         f"of {results['garments'][0]['tolerance']:g} of the load, on the same machine.",
+        "",
+        f"From fields made once, a new body is {min(gains[0]):.0f} to {max(gains[0]):.0f} times faster than in the "
+        f"paper's form, and {min(gains[1]):.0f} to {max(gains[1]):.0f} times in a batch of {results['batch']}.",
         "",
         f"It is nearer to the simulation than the transfer: {'supported' if nearer else 'not supported'}.",
     ]

@@ -8,7 +8,7 @@ from typing import Literal
 
 from experiments import train_collisions, train_fine, train_mean, train_smooth
 from experiments._pool import open_pool
-from tryon_jax.nets.config import Conditioning
+from tryon_jax.nets.config import Size
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import StageOptions
@@ -27,10 +27,8 @@ class Config:
     """Folder of the simulated dataset."""
     run: Path = Path("runs/small")
     """Folder of the run; the model is run/model.safetensors."""
-    size: Literal["small", "paper"] = "small"
-    """Configuration of the networks."""
-    conditioning: Conditioning = "fields"
-    """fields: the networks predict displacement fields; node: the paper's form, with the betas at each node."""
+    size: Size = "small"
+    """Configuration of the networks; with -node in the paper's form, with the betas at each node."""
     reference: Literal["smoothed", "paper"] = "smoothed"
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
     smooth: StageOptions = field(default_factory=lambda: _stage(8000))
@@ -46,7 +44,7 @@ class Config:
 def main(config: Config) -> None:
     """Run the stages; those that are done already take no time."""
     if not (config.run / "mean" / "curve.json").exists():
-        train_mean.main(train_mean.Config(config.data, config.run, config.size, config.conditioning, config.reference))
+        train_mean.main(train_mean.Config(config.data, config.run, config.size, config.reference))
     train_smooth.main(train_smooth.Config(config.data, config.run, config.smooth))
     with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
         train_fine.main(train_fine.Config(config.data, config.run, (), config.fine), pool)

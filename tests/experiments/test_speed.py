@@ -4,8 +4,8 @@ from experiments.speed import ROWS, draw, markdown
 
 
 def results(residual=0.009, transfer=20.0):
-    seconds = {"drape": 0.01, "drape, batch": 0.005, "pushed out": 1.0, "transfer": 1e-4, "simulator": 3.0}
-    seconds["simulator, at once"] = 1.0
+    seconds = {"drape": 0.01, "fields": 0.001, "fields, batch": 1e-4, "paper form": 0.02, "paper form, batch": 0.005}
+    seconds |= {"pushed out": 1.0, "transfer": 1e-4, "simulator": 3.0, "simulator, at once": 1.0}
     assert set(seconds) == set(ROWS)
     garment = {
         "design": "tshirt",
@@ -22,6 +22,7 @@ def results(residual=0.009, transfer=20.0):
 def test_factor_and_verdict(tmp_path):
     text = "\n".join(markdown(results()))
     assert "300 to 300 times faster" in text
+    assert "a new body is 20 to 20 times faster than in the paper's form, and 50 to 50 times in a batch of 2" in text
     assert "than the transfer: supported" in text
     assert "not at rest" not in text
     assert "Once for each design: dressing 2.00 s." in text

@@ -175,8 +175,11 @@ def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " 
     """
     if design is None:
         return garment
-    moved = garment.with_vertices(mean_drape(model, garment, design))
-    return dataclasses.replace(moved, design=jnp.asarray(design))
+    mean = mean_drape(model, garment, design)
+    own = garment.own
+    if own is not None:
+        own = dataclasses.replace(own, vertices=carry(garment, mean, jnp.asarray(garment.graph.vertices)))
+    return dataclasses.replace(garment.with_vertices(mean), design=jnp.asarray(design), own=own)
 
 
 def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:

@@ -40,9 +40,10 @@ def fine_features(
         betas: As in `smooth_features`.
     """
     parts = _garment_features(config, garment, smooth_vertices)
+    parts += _beta_features(config, betas if config.fine_betas else None)
     if config.fine_detail:
         parts.append(detail[:, None, :] / config.detail_scale)
-    return _side_by_side([*parts, *_beta_features(config, betas if config.fine_betas else None)])
+    return _side_by_side(parts)
 
 
 def scaled_design(config: TryOnConfig, garment: Garment) -> Float[Array, " P"]:

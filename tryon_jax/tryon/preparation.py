@@ -1,15 +1,17 @@
 """Host side, once per design: from a pattern or a user's mesh to a `Garment` (NumPy and SciPy)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from tryon_jax.checks import check_finite
-from tryon_jax.garment import Design, DesignSpace, GarmentMesh, placement, remesh
+from tryon_jax.garment import Design, DesignSpace, GarmentMesh, place_on_template, placement, remesh
+from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import build_graph, pad_rows
 from tryon_jax.graph.resample import resample
@@ -45,7 +47,8 @@ def prepare(
             `load_garment` returned, or vertices and faces). It is repaired, and where its triangles are far from what
             the networks know, an evenly spaced copy is draped and carries the user's own vertices.
         seed: Another seed gives another topology.
-        target_area: Mean area of the triangles, square metres; by default what the networks were trained on.
+        target_area: Mean area of the triangles, square metres; by default what the networks were trained on. A mesh
+            of another density is carried by one of that density (see `prepare_mesh`).
         bucket: Number of nodes to pad to, see `build_graph`.
 
     Raises:
@@ -71,18 +74,23 @@ def prepare_mesh(
 ) -> Garment:
     """As `prepare`, for a garment mesh of φ that exists already (as in training sets).
 
+    A filter of the networks reaches a number of edges, not of metres. A mesh much finer or coarser than what they were
+    trained on is therefore carried, through the flat pattern, by an even mesh of that density.
+
     Args:
         model: The model that will drape it.
         mesh: Topology and its tie to the template.
-        vertices: M̄ in metres; by default W · R_mean(p).
+        vertices: M̄ in metres, which the networks then see as it is; by default W · R_mean(p).
         bucket: Number of nodes to pad to.
     """
+    config = model.config
     design = np.asarray(mesh.design.values, np.float32)
     if vertices is None:
-        template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(design)))
-        vertices = np.einsum("vk,vkc->vc", mesh.template_weights, template[mesh.template_vertices])
-    points = check_finite("garment vertices", np.asarray(vertices))
-    config = model.config
+        points = _mean_vertices(model, mesh)
+        if not _is_known(mesh.target_area, config.target_area):
+            return _carried_by_the_pattern(model, mesh, points, bucket)
+    else:
+        points = check_finite("garment vertices", np.asarray(vertices))
     graph = build_graph(
         points,
         mesh.faces,
@@ -104,6 +112,42 @@ def prepare_mesh(
         design,
         template_vertices,
         template_weights,
+    )
+
+
+def _mean_vertices(model: TryOnModel, mesh: GarmentMesh) -> Float[np.ndarray, "V 3"]:
+    """M̄ = W · R_mean(p), metres."""
+    design = jnp.asarray(mesh.design.values, jnp.float32)
+    return place_on_template(mesh, np.asarray(apply_mean_drape(model.mean, design)))
+
+
+def _is_known(area: float, trained: float) -> bool:
+    """Whether triangles of that mean area are near enough to those that the networks were trained on."""
+    return trained / _DENSITY_RANGE <= area <= trained * _DENSITY_RANGE
+
+
+def _carried_by_the_pattern(
+    model: TryOnModel, mesh: GarmentMesh, vertices: Float[np.ndarray, "V 3"], bucket: int | None
+) -> Garment:
+    even = remesh(config_space(model.config), mesh.design, model.config.target_area, seed=mesh.seed)
+    onto = map_patterns(pattern_arrays(mesh), pattern_arrays(even))
+    own = _own_mesh(vertices, mesh.faces, onto.corners, onto.weights)
+    return replace(prepare_mesh(model, even, bucket=bucket), own=own)
+
+
+def _own_mesh(
+    vertices: Float[np.ndarray, "M 3"],
+    faces: Int[np.ndarray, "G 3"],
+    carriers: Int[np.ndarray, "M 3"],
+    weights: Float[np.ndarray, "M 3"],
+) -> OwnMesh:
+    size = bucket_size(len(vertices))
+    return OwnMesh(
+        vertices=pad_rows(vertices, size, np.float32),
+        faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
+        carriers=pad_rows(carriers, size, np.int32),
+        weights=pad_rows(weights, size, np.float32),
+        num_vertices=np.asarray(len(vertices), np.int32),
     )
 
 
@@ -145,7 +189,7 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     config = model.config
     corners = vertices[faces]
     areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    known = area / _DENSITY_RANGE <= areas.mean() <= area * _DENSITY_RANGE and areas.std() <= areas.mean()
+    known = _is_known(float(areas.mean()), area) and areas.std() <= areas.mean()
     points, triangles = (vertices, faces) if known else resample(vertices, faces, area)
     graph = build_graph(
         points,
@@ -160,12 +204,4 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     if known:
         return Garment(graph, smoother)
     found = MeshSearch(points, triangles).closest(vertices)
-    size = bucket_size(len(vertices))
-    own = OwnMesh(
-        vertices=pad_rows(vertices, size, np.float32),
-        faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
-        carriers=pad_rows(triangles[found.face], size, np.int32),
-        weights=pad_rows(found.weights, size, np.float32),
-        num_vertices=np.asarray(len(vertices), np.int32),
-    )
-    return Garment(graph, smoother, own=own)
+    return Garment(graph, smoother, own=_own_mesh(vertices, faces, triangles[found.face], found.weights))
