@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks.record import table, write_record
-from experiments._mechanics import lathe, plate, sample_fabric, settle, strip
+from benchmarks.record import write_record
+from measuring.records import table
+from measuring.textiles import lathe, plate, sample_fabric, settle, strip
 from tryon_jax.body import load_body
 from tryon_jax.garment import placement, remesh
 from tryon_jax.garment.manifest import load_manifest

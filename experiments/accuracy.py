@@ -33,6 +33,7 @@ from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import CHUNK
+from tryon_jax.types import Body
 
 ROWS = {
     "mean drape": "do nothing: M̄",

@@ -279,7 +279,7 @@ def _simulate(shop: Workshop, mesh: GarmentMesh, betas: np.ndarray, fabric_name:
     fabric = load_fabric(fabric_name)
     cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
     obstacle, settings, rest = Obstacle(shop.model.body), SolverSettings(), Equilibrium()
-    mean = dress(placement(mesh), cloth, fabric, obstacle, settings, rest, np.zeros(len(betas)))
+    mean = dress(placement(mesh), cloth, fabric, obstacle, settings, rest, [0.0] * len(betas))
     ray = betas[None] * (np.arange(1, _STEPS + 1) / _STEPS)[:, None]
     return list(sweep(mean, ray, cloth, fabric, obstacle, settings, rest))[-1].vertices
 
