@@ -35,6 +35,9 @@ class Config:
     6 unseen designs; topologies: 7 unseen topologies of one training design."""
     topology_design: str = "tshirt"
     """Design of `--part topologies`."""
+    convention: Literal["reference", "dressed"] = "reference"
+    """reference: all drapes start from one, so that folds agree between designs and meshes; dressed: each garment is
+    dressed by itself, to compare with."""
     dense_vertices: int = 0
     """0: templates for R_mean are fitted to drapes at working density; else simulated on a dense mesh of so many
     vertices and downsampled (17246: the paper)."""
@@ -56,14 +59,16 @@ def main(config: Config) -> None:
     check_range("batch", config.batch, 1, 4096)
     manifest = load_manifest()
     training = [design.label for design in manifest.training]
+    designs, seeds = training, manifest.training_seeds
+    target_area = manifest.target_area
     if config.scale == "small":
-        dataset = DatasetConfig(num_betas=config.betas, target_area=6e-4, dense_vertices=config.dense_vertices)
-        designs, seeds = [training[0], training[4]], manifest.training_seeds[:1]
-    else:
-        dataset = DatasetConfig(
-            num_betas=config.betas, target_area=manifest.target_area, dense_vertices=config.dense_vertices
-        )
-        designs, seeds = training, manifest.training_seeds
+        designs, seeds, target_area = [training[0], training[4]], manifest.training_seeds[:1], 6e-4
+    dataset = DatasetConfig(
+        num_betas=config.betas,
+        target_area=target_area,
+        dense_vertices=config.dense_vertices,
+        convention=config.convention,
+    )
     if config.part == "additional":
         designs, seeds = [design.label for design in manifest.additional[: config.designs]], manifest.training_seeds[:1]
     if config.part == "unseen":

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -201,7 +202,7 @@ def test_what_diverges_is_marked_and_not_left_out(root: Path, tmp_path: Path, mo
     task = Task("ray", "tank-0", "gray-interlock", 3)
 
     def diverges_at_the_second(first: Drape, *arguments: object) -> Iterator[Drape]:
-        yield dataclasses.replace(first, report=dataclasses.replace(first.report, residual=np.float32(0.001)))
+        yield dataclasses.replace(first, report=dataclasses.replace(first.report, residual=jnp.asarray(0.001)))
         raise Diverged("the drape diverged")
 
     monkeypatch.setattr(simulator_module, "sweep", diverges_at_the_second)

@@ -20,7 +20,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class DatasetConfig:
     mesh of so many vertices, downsampled, as in the paper (17,246 there)."""
     reference_vertices: int = 2400
     """Vertices of the mesh on which the mean design is dressed (see `reference`)."""
+    convention: Literal["reference", "dressed"] = "reference"
+    """Where drapes start. reference: from one drape of the mean design (see `reference`), so that folds agree. dressed:
+    each garment is dressed by itself and followed along its rays, and folds differ from mesh to mesh by chance."""
     version: int = 2
 
 

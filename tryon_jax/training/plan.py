@@ -64,8 +64,9 @@ def plan(
             for fabric in config.fabrics
         ]
 
+    reference = [Task("reference", fabric=fabric) for fabric in config.fabrics]
     return [
-        ("reference", [Task("reference", fabric=fabric) for fabric in config.fabrics]),
+        ("reference", reference if config.convention == "reference" else []),
         ("mean body", means(first)),
         ("mean body, other topologies", means(later)),
         ("templates", [Task("template", garment) for garment in trained]),

@@ -7,6 +7,7 @@ design start at each body from the drape of its first mesh, read through the fla
 is a function of design, body and fabric, and nearly independent of the mesh.
 """
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +19,7 @@ from jaxtyping import Float
 
 from tryon_jax.garment import Design, DesignSpace, dense_template
 from tryon_jax.garment.dense import DenseTemplate
-from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
+from tryon_jax.garment.pattern_map import PatternMap, map_patterns, pattern_arrays
 from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape
 from tryon_jax.training.dataset import load_arrays, save_arrays
 
@@ -64,9 +65,7 @@ def start_from_reference(
     """
     count = len(reference.vertices)
     onto = map_patterns(mesh, pattern_arrays(reference_mesh(space, design, count).mesh))
-    middle = reference_mesh(space, space.mean_design, count)
-    on_middle = map_patterns(pattern_arrays(middle.mesh), pattern_arrays(middle.template))
-    before = onto(on_middle(_template(mean, space.mean_design)[None]))[0]
+    before = onto(_onto_template(space, count)(_template(mean, space.mean_design)[None]))[0]
     after = np.einsum("vk,vkc->vc", mesh["template_weights"], _template(mean, design)[mesh["template_vertices"]])
     stacked = onto(np.stack([reference.vertices, reference.slip]))
     return Start(stacked[0] + after - before, stacked[1])
@@ -81,6 +80,13 @@ def start_from_mesh(here: Mapping[str, np.ndarray], there: Mapping[str, np.ndarr
         drape: Of `there`.
     """
     return Start(*map_patterns(here, there)(np.stack([drape.vertices, drape.slip])))
+
+
+@functools.lru_cache(maxsize=1)
+def _onto_template(space: DesignSpace, num_vertices: int) -> PatternMap:
+    """Where the vertices of the mean design's `reference_mesh` lie on its template."""
+    middle = reference_mesh(space, space.mean_design, num_vertices)
+    return map_patterns(pattern_arrays(middle.mesh), pattern_arrays(middle.template))
 
 
 def _template(mean: MeanDrape, design: Design) -> Float[np.ndarray, "T 3"]:

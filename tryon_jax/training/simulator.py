@@ -121,6 +121,9 @@ class Simulator:
 
     def _means(self, tasks: Sequence[Task]) -> list[str]:
         subjects = [self.subject(task.garment, task.fabric) for task in tasks]
+        if self.config.convention == "dressed":
+            drapes = self._dress(subjects, len(tasks) > 1)
+            return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
         starts = [self._mean_start(task, subject) for task, subject in zip(tasks, subjects, strict=True)]
         drapes = self._relax(starts, [self.mean_body] * len(tasks), subjects, len(tasks) > 1)
         return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
@@ -140,7 +143,7 @@ class Simulator:
         subjects = [self.subject(task.garment, task.fabric) for task in tasks]
         shapes = [self._shapes(task) for task in tasks]
         drapes: list[list[Drape | None]] = [[None] * len(betas) for betas in shapes]
-        first = [task.garment == self.manifest.first_topology(task.garment) for task in tasks]
+        first = [self._is_followed(task.garment) for task in tasks]
         followed = [k for k, own in enumerate(first) if own]
         for k, found in zip(followed, self._sweep(*_pick(followed, tasks, shapes, subjects)), strict=True):
             drapes[k] = found
@@ -151,6 +154,10 @@ class Simulator:
         for (k, i), drape in zip(rows, found, strict=True):
             drapes[k][i] = drape
         return [self._save_ray(*each) for each in zip(tasks, subjects, shapes, drapes, strict=True)]
+
+    def _is_followed(self, garment: str) -> bool:
+        """Whether a garment is followed along rays; else it starts at each body from the first topology's drape."""
+        return self.config.convention == "dressed" or garment == self.manifest.first_topology(garment)
 
     def _shapes(self, task: Task) -> Float[np.ndarray, "N b"]:
         """The body shapes of a ray; test shapes only where there are tests of this garment."""
@@ -183,7 +190,7 @@ class Simulator:
         vertices = np.stack([nowhere if drape is None else drape.vertices for drape in drapes])
         arrays = {"vertices": vertices, "betas": betas}
         arrays["test"] = np.zeros(len(betas), bool) if task.training_only else self.protocol.test[task.number]
-        if task.garment == self.manifest.first_topology(task.garment):
+        if self._is_followed(task.garment):
             arrays["slip"] = np.stack([_slip(drape, count) for drape in drapes])
         self._save(task, arrays | table)
         return f"{task.garment} {task.fabric} ray {task.number}: {_line(rows[-1])}"
