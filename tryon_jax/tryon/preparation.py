@@ -17,7 +17,7 @@ from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
 from tryon_jax.nets.mlp import apply_mean_drape
-from tryon_jax.tryon.garment import Garment, OwnMesh
+from tryon_jax.tryon.garment import CarriedMesh, Garment
 from tryon_jax.tryon.model import TryOnModel, config_space
 
 # A user's mesh is taken as it is when its mean triangle area is within this factor of what the networks know.
@@ -161,7 +161,7 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
         return Garment(graph, smoother)
     found = MeshSearch(points, triangles).closest(vertices)
     size = bucket_size(len(vertices))
-    own = OwnMesh(
+    own = CarriedMesh(
         vertices=pad_rows(vertices, size, np.float32),
         faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
         carriers=pad_rows(triangles[found.face], size, np.int32),
