@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from benchmarks.record import environment
+from measuring.records import environment
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 _POWERCAP = Path("/sys/class/powercap")
@@ -33,11 +33,11 @@ class Compilations:
 _listening: list[Compilations] = []
 
 
-def _heard(event: str, seconds: float, **_: Any) -> None:
+def _heard(event: str, duration_secs: float, **_: Any) -> None:
     if event == _COMPILED:
         for counter in _listening:
             counter.count += 1
-            counter.seconds += seconds
+            counter.seconds += duration_secs
 
 
 @functools.cache

@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.record import Timing
+from measuring.timing import Timing
 from tryon_jax.body import load_body
 from tryon_jax.garment import build_template, load_design_space, placement, remesh
 from tryon_jax.nets import TryOnConfig, UNet
+from tryon_jax.nets.cheb import ChebConv
 from tryon_jax.tryon import Garment, TryOnModel, init_model, prepare_mesh
 
 PAPER_SIZES = (1414, 2500, 3581)
@@ -76,11 +77,16 @@ def garment_of_size(config: TryOnConfig, vertices: int) -> Garment:
 
 def layer_shapes(net: UNet, nodes: int) -> list[tuple[int, int, int, int]]:
     """(nodes, K, inputs, outputs) of each convolution of a network on a graph of `nodes` nodes."""
-    shapes = []
+    shapes: list[tuple[int, int, int, int]] = []
     for level, convs in enumerate(net.encoder):
         decoder = net.decoder[level] if level < len(net.decoder) else ()
-        shapes += [(nodes >> level, *conv.weight.shape) for conv in (*convs, *decoder)]
-    return [*shapes, (nodes, *net.head.weight.shape)]
+        shapes += [_shape(nodes >> level, conv) for conv in (*convs, *decoder)]
+    return [*shapes, _shape(nodes, net.head)]
+
+
+def _shape(nodes: int, conv: ChebConv) -> tuple[int, int, int, int]:
+    order, inputs, outputs = conv.weight.shape
+    return nodes, order, inputs, outputs
 
 
 def dense_floor(

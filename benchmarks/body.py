@@ -18,7 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.record import measure, table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
+from measuring.timing import measure
 from tryon_jax.body import betas_from_measurements, load_body, load_smpl, pose_body, shape_body
 from tryon_jax.types import Body
 

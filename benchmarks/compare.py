@@ -9,7 +9,6 @@ The record is written after every cell, so that nothing measured is lost when it
 """
 
 import json
-import re
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -36,6 +35,7 @@ from benchmarks._networks import dense_floor
 from benchmarks._pieces import LIMITS, cut_off, failed, measured, read_begun, too_large, too_long
 from benchmarks._subjects import Cell, Work, config_of, tryon_model
 from benchmarks.record import RESULTS
+from measuring.records import plain, slug
 from tryon_jax.checks import check_choice
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment import load_design_space
@@ -351,7 +351,7 @@ def run(config: Config, path: Path) -> dict[str, Any]:
         record["minutes"] = round(minutes_before + piece["minutes"], 2)
         stats = jax.devices()[0].memory_stats() or {}
         record["device_peak_mb"] = stats.get("peak_bytes_in_use", 0) / 1e6 or None
-        write_text(path, json.dumps(record, indent=1, default=_plain) + "\n")
+        write_text(path, json.dumps(record, indent=1, default=plain) + "\n")
     if failures:
         raise RuntimeError(f"{len(failures)} cells failed, the first: {failures[0]}")
     return record
@@ -370,11 +370,6 @@ def peer_versions() -> dict[str, str]:
     return found
 
 
-def slug(device: str) -> str:
-    """A device's name as a file name."""
-    return re.sub(r"[^a-z0-9]+", "-", device.lower()).strip("-")
-
-
 def main(config: Config) -> None:
     """Measure, write the record, say what was slow and what was skipped."""
     path = config.out / f"{slug(surroundings()['device'])}.json"
@@ -386,7 +381,3 @@ def main(config: Config) -> None:
         peers = "".join(f", {name} {statistics.median(t):.3g} ms" for name, t in entry["beside"].items())
         print(f"{cell}: {entry['ms']:.3g} ms{share}{peers}")
     print(f"{len(timed)} cells timed, {len(record['cells']) - len(timed)} skipped; wrote {path}")
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)

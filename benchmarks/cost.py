@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.record import RESULTS, table
+from benchmarks.record import RESULTS
 from benchmarks.report import device, load_records
+from measuring.records import table
 from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record

@@ -24,7 +24,8 @@ from benchmarks._networks import (
     random_model,
     temporary_megabytes,
 )
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.nets import load_config, paper_form
 from tryon_jax.tryon import Garment, TryOnModel, drape, prepare
 
@@ -122,11 +123,11 @@ def count_compilations(config: Config) -> int:
     jitted = jax.jit(drape, static_argnames="fabric")
     betas = jnp.zeros(settings.num_betas)
     jitted(model, first, betas, fabric=settings.fabrics[0])
-    before = jitted._cache_size()
+    before = jitted._cache_size()  # pyright: ignore[reportAttributeAccessIssue]
     for seed in (1, 2):
         other = prepare(model, "tank", seed=seed, bucket=first.graph.num_nodes)
         jitted(model, other, betas, fabric=settings.fabrics[0])
-    return jitted._cache_size() - before
+    return jitted._cache_size() - before  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def main(config: Config) -> None:

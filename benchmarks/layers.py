@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from benchmarks._networks import compiled, garment_of_size, measure_in_turns
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.graph import SparseOperator, apply_operator
 from tryon_jax.nets import SMALL, ChebConv, cheb_conv, init_cheb_conv
 

@@ -14,7 +14,8 @@ import numpy as np
 from tqdm import tqdm
 
 from benchmarks._networks import PAPER_SIZES, random_model
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.garment import load_design_space, placement, remesh
 from tryon_jax.graph import build_graph, padding_share
 from tryon_jax.graph.build import closest_body_vertices

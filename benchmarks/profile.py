@@ -19,7 +19,7 @@ from jax.profiler import ProfileData
 from benchmarks import _simulation
 from benchmarks._subjects import Cell
 from benchmarks.compare import SUBJECTS, Compiled
-from benchmarks.record import table
+from measuring.records import table
 from tryon_jax.checks import check_choice
 
 
@@ -41,8 +41,11 @@ class Config:
     """Kernels that are listed."""
 
 
-def device_events(data: ProfileData) -> Iterable[tuple[str, float]]:
-    """Name and nanoseconds of what ran on the device: kernels of a GPU's streams, or XLA's operations on a CPU."""
+def device_events(data: Any) -> Iterable[tuple[str, float]]:
+    """Name and nanoseconds of what ran on the device, from a `ProfileData`.
+
+    On a GPU these are the kernels of its streams, on a CPU the operations of XLA.
+    """
     planes = list(data.planes)
     cards = [plane for plane in planes if plane.name.startswith("/device:GPU")]
     for plane in cards or [plane for plane in planes if plane.name == "/host:CPU"]:

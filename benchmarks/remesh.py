@@ -14,7 +14,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.checks import check_choice
 from tryon_jax.garment import (
     TARGET_AREA,

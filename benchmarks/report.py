@@ -2,13 +2,14 @@
 
 import json
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.compare import ALL
-from benchmarks.record import RESULTS, table
+from benchmarks.record import RESULTS
+from measuring.records import table
 from tryon_jax.files.atomic import atomic_path, write_text
 
 ABOUT = {
@@ -32,7 +33,7 @@ UNITS = {
     "prepare": "garments",
 }
 """What is counted per second; drapes for the others."""
-STYLES = ("-o", ":s", "--^", "-.v")
+STYLES: tuple[Any, ...] = ("-o", ":s", "--^", "-.v")
 """Line and marker of each device in the plots."""
 BEGIN = "# Benchmarks"
 
@@ -65,7 +66,7 @@ def load_records(folder: Path) -> list[dict[str, Any]]:
     return sorted(records, key=lambda r: (r["environment"]["platform"] != "cpu", r["environment"]["device"]))
 
 
-def device(record: dict[str, Any]) -> str:
+def device(record: Mapping[str, Any]) -> str:
     """The device's name, as tables show it."""
     return record["environment"]["device"]
 

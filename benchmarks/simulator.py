@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from benchmarks.record import table, write_record
-from experiments._mechanics import lathe, plate, sample_fabric, settle, strip
+from benchmarks.record import write_record
+from measuring.records import table
+from measuring.textiles import lathe, plate, sample_fabric, settle, strip
 from tryon_jax.body import load_body
 from tryon_jax.garment import placement, remesh
 from tryon_jax.garment.manifest import load_manifest
@@ -72,7 +73,7 @@ class Garment:
     fabric: Fabric
 
 
-class Bench:
+class SimulatorRun:
     """The body, the solver's settings and the rays that all rows share."""
 
     def __init__(self) -> None:
@@ -100,8 +101,8 @@ class Bench:
 
 def shape_rows(config: Config) -> list[dict[str, Any]]:
     """Seconds per body shape along the protocol's rays, to equilibrium, without statistics and files."""
-    manifest, bench = load_manifest(), Bench()
-    design, order = manifest.design(config.design), bench.protocol.order
+    manifest, run = load_manifest(), SimulatorRun()
+    design, order = manifest.design(config.design), run.protocol.order
     # One mesh tells the garment's area.
     trial = remesh(manifest.space, design, manifest.target_area, seed=0)
     rows = []
@@ -110,21 +111,21 @@ def shape_rows(config: Config) -> list[dict[str, Any]]:
         cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
         for name in config.fabrics:
             garment = Garment(placement(mesh), cloth, sample_fabric(name))
-            first = bench.dress(garment)
+            first = run.dress(garment)
             row: dict[str, Any] = {"vertices": mesh.num_vertices, "fabric": name}
-            row["dressing, s"] = clock(partial(bench.dress, garment))[0]
+            row["dressing, s"] = clock(partial(run.dress, garment))[0]
             if config.batch:
-                work = partial(bench.side_by_side, garment, first, [order[k % len(order)] for k in range(config.batch)])
+                work = partial(run.side_by_side, garment, first, [order[k % len(order)] for k in range(config.batch)])
                 work(shapes=1)
             else:
-                work = partial(bench.rays, garment, first, list(order[1 : config.rays + 1]))
-                bench.rays(garment, first, [order[0]])
+                work = partial(run.rays, garment, first, list(order[1 : config.rays + 1]))
+                run.rays(garment, first, [order[0]])
             # What the first calls compiled is not timed.
             wall, processor, drapes = clock(work)
             count = len(drapes)
             row |= {"shapes": count, "s per shape": wall / count, "CPU s per shape": processor / count}
             row["steps per shape"] = float(np.mean([int(d.report.steps) for d in drapes]))
-            row["at rest, %"] = 100 * float(np.mean([d.converged(bench.equilibrium) for d in drapes]))
+            row["at rest, %"] = 100 * float(np.mean([d.converged(run.equilibrium) for d in drapes]))
             rows.append(row)
     return rows
 

@@ -23,7 +23,8 @@ from benchmarks._networks import (
     random_model,
     temporary_megabytes,
 )
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.nets import load_config, paper_form
 from tryon_jax.nets.unet import UNet
 from tryon_jax.training.parts import value_and_grad_in_parts

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 from experiments._check import DYNAMIC, STATIC, Config, Found
 from experiments._check_textiles import drape_coefficient
-from experiments._mechanics import linear_fabric, plate, sample_fabric, settle, start_at, strip
+from measuring.textiles import linear_fabric, plate, sample_fabric, settle, start_at, strip
 from tryon_jax.body import load_body
 from tryon_jax.garment import placement, remesh
 from tryon_jax.garment.manifest import load_manifest

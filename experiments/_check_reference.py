@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments._check import STATIC, Config, Found
-from experiments._mechanics import sample_fabric, settle
+from measuring.textiles import sample_fabric, settle
 from tryon_jax.checks import check_file
 from tryon_jax.contact.surface import build_surface
 from tryon_jax.physics.bending import bending_force, dihedral_angles

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.optimize import brentq, minimize
 
 from experiments._check import STATIC, Config, Found
-from experiments._mechanics import Result, disc, linear_fabric, pedestal, sample_fabric, settle, shadow_area, strip
 from experiments._plots import save_drapes
+from measuring.textiles import Result, disc, linear_fabric, pedestal, sample_fabric, settle, shadow_area, strip
 from tryon_jax.physics.bending import dihedral_angles, hinge_stiffness
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import Fabric
@@ -116,8 +116,8 @@ def check_drape(config: Config) -> Found:
     about = "Drape coefficient of a sample of 30 cm on a pedestal of 18 cm (ISO 9073-9)."
     if len(rows) < 3:
         return {"about": about, "rows": rows}
-    ranks = [np.argsort(np.argsort([row[key] for row in rows])) for key in list(rows[0])[1:3]]
-    order = float(np.corrcoef(*ranks)[0, 1])
+    first, second = (np.argsort(np.argsort([row[key] for row in rows])) for key in list(rows[0])[1:3])
+    order = float(np.corrcoef(first, second)[0, 1])
     note = f"Rank correlation of the drape coefficient with the bending length from the table: {order:.2f}."
     return {"about": about, "rows": rows, "note": note, "rank_correlation": order}
 

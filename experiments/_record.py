@@ -7,9 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks.record import environment
+from measuring.records import environment, plain
 from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import mean_path, read_config
@@ -53,7 +51,7 @@ def write_result(folder: Path, name: str, config: Any, results: Mapping[str, Any
         "results": results,
     }
     path = folder / f"{name}.json"
-    write_text(path, json.dumps(record, indent=1, default=_plain) + "\n")
+    write_text(path, json.dumps(record, indent=1, default=plain) + "\n")
     return path
 
 
@@ -95,9 +93,3 @@ def read_result(folder: Path, name: str) -> dict[str, Any] | None:
     """The record of an experiment, or None where it has not been run."""
     path = folder / f"{name}.json"
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else None
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return str(value)

@@ -133,7 +133,7 @@ def make_tape(garment: Garment, mesh: GarmentMesh, body: Body, place: tuple[np.n
     hem[np.asarray(mesh.loops["hem"])] = True
     point, normal = (np.asarray(x, np.float32) for x in place)
     torso = faces.any(axis=1) & ~sleeve[faces].any(axis=1)
-    return Tape(faces, torso, hem, point, normal, np.float32(ground))
+    return Tape(faces, torso, hem, point, normal, np.asarray(ground, np.float32))
 
 
 def girth_and_hem(tape: Tape, vertices: Float[Array, "N 3"]) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -87,7 +87,7 @@ def in_block(betas: Float[np.ndarray, "S b"]) -> Bool[np.ndarray, " S"]:
 
 def along_first(betas: Float[np.ndarray, "S b"]) -> Bool[np.ndarray, " S"]:
     """Which body shapes differ from the mean in little but the first beta; the mean body is among them."""
-    return (np.abs(betas[:, 1:]) <= _ALONG * np.abs(betas[:, :1])).all(axis=1)
+    return np.asarray((np.abs(betas[:, 1:]) <= _ALONG * np.abs(betas[:, :1])).all(axis=1))
 
 
 def variant_config(variant: Variant, config: TryOnConfig) -> TryOnConfig:

@@ -169,7 +169,7 @@ def _start(config: Config) -> TryOnModel:
 
 
 def _some(names: Sequence[str], most: int) -> list[str]:
-    return [names[k] for k in spread(len(names), most)]
+    return [names[int(k)] for k in spread(len(names), most)]
 
 
 def _read(path: Path, identity: Mapping[str, Any]) -> dict[str, Any] | None:

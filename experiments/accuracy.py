@@ -34,6 +34,7 @@ from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import CHUNK
 from tryon_jax.tryon import load_model
+from tryon_jax.types import Body
 
 ROWS = {
     "mean drape": "do nothing: M̄",

@@ -9,8 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.record import environment, table
 from experiments._record import describe_dataset, write_result
+from measuring.records import environment, table
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import atomic_path, write_text
@@ -218,6 +218,7 @@ def as_markdown(report: dict[str, Any]) -> str:
 def plot_histograms(path: Path, samples: list[Sample], fabrics: tuple[str, ...]) -> None:
     """One panel for each statistic, fabrics beside each other, the rule as a line."""
     import matplotlib.pyplot as plt
+    from matplotlib.patches import Rectangle
 
     figure, axes = plt.subplots(2, 4, figsize=(16, 7), constrained_layout=True)
     for axis, key in zip(axes.flat, STATISTICS, strict=False):
@@ -234,7 +235,7 @@ def plot_histograms(path: Path, samples: list[Sample], fabrics: tuple[str, ...])
         if key in RULES:
             axis.axvline(scale * RULES[key], color="black", linestyle="--", linewidth=1)
     axes.flat[len(STATISTICS)].axis("off")
-    handles = [plt.Rectangle((0, 0), 1, 1, color=color) for color in FABRIC_COLORS[: len(fabrics)]]
+    handles = [Rectangle((0, 0), 1, 1, color=color) for color in FABRIC_COLORS[: len(fabrics)]]
     axes.flat[len(STATISTICS)].legend(handles, fabrics, loc="center", title="fabric (dashed: rule)")
     with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=110)

@@ -79,7 +79,7 @@ class Config:
     """Run with stages that are not trained, to try the experiment out."""
 
 
-class Workshop:
+class InverseProblems:
     """A model with what solving for its inputs needs; garments are meshed on the host between rounds."""
 
     def __init__(self, model: TryOnModel, fabric: str, bucket: int = BUCKET) -> None:
@@ -169,46 +169,48 @@ def main(config: Config) -> None:
     """Solve all problems and print, draw and store how near the answers are."""
     manifest, weights = load_manifest(), model_path(config.run)
     model = open_model(weights, config.untrained, (config.fabric,))
-    shop = Workshop(model, config.fabric)
+    problems = InverseProblems(model, config.fabric)
     recovered = [
-        *(_own(shop, config, k) for k in tqdm(range(config.own), desc="own drapes", mininterval=2)),
+        *(_own(problems, config, k) for k in tqdm(range(config.own), desc="own drapes", mininterval=2)),
     ]
     cases = case_names(config.data, manifest) if config.simulated else {"unseen design": [], "as trained": []}
     names = cases["unseen design"] or cases["as trained"]
     names = [names[k] for k in spread(len(names), config.simulated)] if config.simulated else []
-    recovered += [_simulated(shop, config, name) for name in tqdm(names, desc="simulated drapes", mininterval=2)]
+    recovered += [_simulated(problems, config, name) for name in tqdm(names, desc="simulated drapes", mininterval=2)]
     wished, items = [], []
     for wish in tqdm(config.wishes, desc="wishes", mininterval=2):
-        entry, cells = _wish(shop, config, wish)
+        entry, cells = _wish(problems, config, wish)
         wished.append(entry)
         items += cells
-    results = {"fabric": config.fabric, "recovered": recovered, "wishes": wished, "names": list(shop.space.names)}
+    results = {"fabric": config.fabric, "recovered": recovered, "wishes": wished, "names": list(problems.space.names)}
     publish(config, "inverse", results, markdown, draw, garments=names or None, weights=weights)
     if items:
         contact_sheet(config.out / "inverse.jpg", items, columns=len(items) // len(config.wishes), height=330)
 
 
-def _own(shop: Workshop, config: Config, number: int) -> dict[str, Any]:
+def _own(problems: InverseProblems, config: Config, number: int) -> dict[str, Any]:
     rng = np.random.default_rng((config.seed, number))
-    unit = rng.uniform(0.1, 0.9, len(shop.space.names))
-    design = shop.space.minimum + unit * (shop.space.maximum - shop.space.minimum)
-    betas = rng.uniform(-1.0, 1.0, shop.model.config.num_betas) * np.array([2.0, 1.3])
-    garment, mesh = shop.garment(design, seed=900 + number)
-    vertices = garment.unpad(drape(shop.model, garment, betas.astype(np.float32), fabric=config.fabric))
-    return _recovered(shop, config, "the model", f"random {number}", vertices, mesh, design, betas)
+    unit = rng.uniform(0.1, 0.9, len(problems.space.names))
+    design = problems.space.minimum + unit * (problems.space.maximum - problems.space.minimum)
+    betas = rng.uniform(-1.0, 1.0, problems.model.config.num_betas) * np.array([2.0, 1.3])
+    garment, mesh = problems.garment(design, seed=900 + number)
+    vertices = garment.unpad(drape(problems.model, garment, betas.astype(np.float32), fabric=config.fabric))
+    return _recovered(problems, config, "the model", f"random {number}", vertices, mesh, design, betas)
 
 
-def _simulated(shop: Workshop, config: Config, name: str) -> dict[str, Any]:
-    drapes = load_drapes(shop.model, config.data, name, config.fabric)
+def _simulated(problems: InverseProblems, config: Config, name: str) -> dict[str, Any]:
+    drapes = load_drapes(problems.model, config.data, name, config.fabric)
     rows = np.flatnonzero(drapes.good & drapes.test)
     # Neither the ends nor the middle of the range.
     row = rows[np.abs(np.linalg.norm(drapes.betas[rows], axis=1) - 1.2).argmin()]
     mesh = load_arrays(mesh_path(config.data, name))
-    return _recovered(shop, config, "the simulator", name, drapes.vertices[row], mesh, drapes.design, drapes.betas[row])
+    return _recovered(
+        problems, config, "the simulator", name, drapes.vertices[row], mesh, drapes.design, drapes.betas[row]
+    )
 
 
 def _recovered(
-    shop: Workshop,
+    problems: InverseProblems,
     config: Config,
     maker: str,
     name: str,
@@ -222,11 +224,11 @@ def _recovered(
         if isinstance(mesh, GarmentMesh)
         else (mesh["template_vertices"], mesh["template_weights"])
     )
-    size = shop.model.config.template_vertices
+    size = problems.model.config.template_vertices
     projection, seen = template_projection(corners, weights, size)
     target = projection @ vertices.astype(np.float32)
     began = time.perf_counter()
-    found_design, found_betas, found = shop.recover(target, seen, config.rounds, config.steps)
+    found_design, found_betas, found = problems.recover(target, seen, config.rounds, config.steps)
     return {
         "maker": maker,
         "name": name,
@@ -243,21 +245,21 @@ def _recovered(
 
 
 def _wish(
-    shop: Workshop, config: Config, wish: tuple[float, float, float, float]
+    problems: InverseProblems, config: Config, wish: tuple[float, float, float, float]
 ) -> tuple[dict[str, Any], list[SheetItem]]:
     betas, ease = np.array(wish[:2]), wish[2]
-    body = shop.body(betas)
+    body = problems.body(betas)
     hem = wish[3] * body["stature"]
     began = time.perf_counter()
-    design, found = shop.tailor(betas, ease, hem, config.rounds, config.steps)
+    design, found = problems.tailor(betas, ease, hem, config.rounds, config.steps)
     seconds = time.perf_counter() - began
-    garment, mesh = shop.garment(design)
-    predicted = garment.unpad(drape(shop.model, garment, betas.astype(np.float32), fabric=config.fabric))
+    garment, mesh = problems.garment(design)
+    predicted = garment.unpad(drape(problems.model, garment, betas.astype(np.float32), fabric=config.fabric))
     drapes = {"predicted": predicted}
     if config.simulate:
-        drapes["simulated"] = _simulate(shop, mesh, betas, config.fabric)
-    got = {kind: shop.measured(vertices, mesh, body) for kind, vertices in drapes.items()}
-    skin = body["vertices"], np.asarray(shop.model.body.faces)
+        drapes["simulated"] = _simulate(problems, mesh, betas, config.fabric)
+    got = {kind: problems.measured(vertices, mesh, body) for kind, vertices in drapes.items()}
+    skin = body["vertices"], np.asarray(problems.model.body.faces)
     items = [
         SheetItem(
             skin, (vertices, mesh.faces), f"{kind}: ease {100 * got[kind][0]:.1f} cm, hem {100 * got[kind][1]:.0f} cm"
@@ -275,11 +277,11 @@ def _wish(
     return entry, items
 
 
-def _simulate(shop: Workshop, mesh: GarmentMesh, betas: np.ndarray, fabric_name: str) -> np.ndarray:
+def _simulate(problems: InverseProblems, mesh: GarmentMesh, betas: np.ndarray, fabric_name: str) -> np.ndarray:
     fabric = load_fabric(fabric_name)
     cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
-    obstacle, settings, rest = Obstacle(shop.model.body), SolverSettings(), Equilibrium()
-    mean = dress(placement(mesh), cloth, fabric, obstacle, settings, rest, np.zeros(len(betas)))
+    obstacle, settings, rest = Obstacle(problems.model.body), SolverSettings(), Equilibrium()
+    mean = dress(placement(mesh), cloth, fabric, obstacle, settings, rest, [0.0] * len(betas))
     ray = betas[None] * (np.arange(1, _STEPS + 1) / _STEPS)[:, None]
     return list(sweep(mean, ray, cloth, fabric, obstacle, settings, rest))[-1].vertices
 

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from benchmarks.record import measure
 from experiments._record import RESULTS, publish
+from measuring.timing import measure
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, paper_form
 from tryon_jax.nets.unet import init_unet
 from tryon_jax.training.recipes import model_path

@@ -117,7 +117,8 @@ def train_single(samples: SimulatedGarment, manifest: Manifest, config: Config, 
     moved = drapes[allowed] - drapes[origin]
     fine = fine_part(samples.garment.smoother, moved)
     targets = [x[:, :count].reshape(len(allowed), -1) for x in (moved - fine, fine)]
-    scales = tuple(float(np.sqrt((t[~held] ** 2).mean())) for t in targets)
+    first, second = (float(np.sqrt((t[~held] ** 2).mean())) for t in targets)
+    scales = first, second
     whole = np.concatenate([t / s for t, s in zip(targets, scales, strict=True)], axis=1)
     inputs = (samples.betas[allowed] / 2.0).astype(np.float32)
     rows, validation = np.flatnonzero(~held), np.flatnonzero(held)
@@ -151,7 +152,8 @@ def train_single(samples: SimulatedGarment, manifest: Manifest, config: Config, 
         "hidden": [config.fit_hidden, config.wrinkle_hidden],
     }
     result = train_loop(start, loss, draw, evaluate, config.cache, config.loop, identity, "single garment")
-    return SingleGarment(drapes[origin[0], :count], *(MLP(*net) for net in result.params), scales)
+    fit, wrinkles = (MLP(*net) for net in result.params)
+    return SingleGarment(drapes[origin[0], :count], fit, wrinkles, scales)
 
 
 def carried(single: SingleGarment, betas: np.ndarray, mean: np.ndarray) -> Stack:

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from benchmarks.record import Timing, measure
 from experiments._evaluate import body_vertices, open_model
 from experiments._record import RESULTS, publish
+from measuring.timing import Timing, measure
 from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.files.atomic import atomic_path
@@ -109,7 +109,7 @@ def time_garment(model: TryOnModel, rival: TryOnModel, design: str, config: Conf
     fabric = load_fabric(config.fabric)
     cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
     obstacle, settings, rest = Obstacle(model.body), SolverSettings(), Equilibrium()
-    zero = np.zeros(len(betas))
+    zero = [0.0] * len(betas)
     start = placement(mesh)
     dress(start, cloth, fabric, obstacle, settings, rest, zero, max_steps=2)
     mean, seconds = _timed(lambda: dress(start, cloth, fabric, obstacle, settings, rest, zero))

@@ -99,7 +99,7 @@ def main(config: Config) -> None:
         _, found = fit_stage(model, "smooth", start, sets, folder, options, checksum)
         row = {"variant": name, **asdict(variant), "parameters": count_parameters(start.net)}
         rows.append(row | {key: found[key] for key in ("steps", "seconds", "curve", "validation_mm")})
-        print(f"{name}: {rows[-1]['validation_mm']:.2f} mm after {result.seconds:.0f} s", flush=True)
+        print(f"{name}: {rows[-1]['validation_mm']:.2f} mm after {rows[-1]['seconds']:.0f} s", flush=True)
     results = {"variants": rows}
     publish(config, "sweep", results, markdown, draw, garments=chosen)
 

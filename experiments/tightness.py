@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from benchmarks.record import table
 from experiments._evaluate import Pipeline, body_vertices, case_names, load_all, open_model, spread
 from experiments._record import RESULTS, publish
+from measuring.records import table
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.checks import check_range
 from tryon_jax.contact.signed_distance import ClosedSurface

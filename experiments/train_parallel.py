@@ -46,4 +46,4 @@ def main(config: Config) -> None:
         elif config.which == "fine":
             train_fine.main(train_fine.Config(config.data, config.run, config.fabrics, config.stage))
         else:
-            train_collisions.main(train_collisions.Config(config.run, config.fabrics, config.collisions))
+            train_collisions.main(train_collisions.Config(config.run, config.fabrics, config.data, config.collisions))

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from benchmarks.record import environment, table
 from experiments._check import Config, Found
 from experiments._check_mechanics import (
     check_convergence,
@@ -18,6 +17,7 @@ from experiments._check_reference import check_forces, check_tube
 from experiments._check_textiles import check_cantilever, check_drape, check_uniaxial
 from experiments._plots import plot_checks
 from experiments._record import read_result, write_result
+from measuring.records import environment, table
 from tryon_jax.checks import check_choice
 from tryon_jax.files.atomic import write_text
 from tryon_jax.physics.fabrics import fabric_names

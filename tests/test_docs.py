@@ -17,6 +17,7 @@ import pytest
 import tyro
 from test_examples import load as load_example
 
+import tryon_jax
 from tryon_jax.body import load_body
 from tryon_jax.cli import find_commands, main
 from tryon_jax.files.export import mesh_part, write_mesh
@@ -122,3 +123,9 @@ def test_links_between_pages_lead_somewhere():
         if not (page.parent / target).exists() and Path(target).name not in MADE
     ]
     assert broken == []
+
+
+def test_the_reference_has_every_public_name():
+    text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    documented = set(re.findall(r"auto(?:function|class):: tryon_jax\.(\w+)$", text, re.MULTILINE))
+    assert documented == set(tryon_jax.__all__)

@@ -216,7 +216,8 @@ def bake(wheel: str | Path, count: int = COUNT) -> dict[str, dict[str, np.ndarra
         gender: (drawn.vertices[:, kept].astype(np.float64), merge_heads(rig, drawn.heads.astype(np.float64)))
         for gender, drawn in samples.items()
     }
-    people["neutral"] = tuple(np.concatenate(pair) for pair in zip(people["female"], people["male"], strict=True))
+    bodies, joints = (np.concatenate(pair) for pair in zip(people["female"], people["male"], strict=True))
+    people["neutral"] = bodies, joints
     for name, (bodies, joints) in people.items():
         mean, directions, explained = principal_shapes(bodies, faces, mirror)
         regressor = fit_regressor(bodies[::2], joints[::2], weights, mirror)
@@ -282,7 +283,7 @@ def main() -> None:
     if options.check:
         raise SystemExit(compare(files) > 1e-4)
     for name, arrays in files.items():
-        np.savez_compressed(DATA / f"{name}.npz", **arrays)
+        np.savez_compressed(DATA / f"{name}.npz", **arrays)  # pyright: ignore[reportArgumentType]
         print(f"{name} {fingerprint(arrays)}")
 
 

@@ -125,7 +125,7 @@ class MacroTargets:
 
     def apply(self, sliders: dict[str, float]) -> np.ndarray:
         """Displacement [N, 3] for `sliders` (each of `AXES` in [0, 1]); the three races weigh the same."""
-        weights = dict.fromkeys(RACES, 1 / len(RACES))
+        weights: dict[str, float] = dict.fromkeys(RACES, 1 / len(RACES))
         for axis, anchors in AXES.items():
             position = np.clip(sliders[axis], 0, 1) * (len(anchors) - 1)
             weights.update({anchor: max(0.0, 1 - abs(position - at)) for at, anchor in enumerate(anchors)})

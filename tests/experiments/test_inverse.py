@@ -9,7 +9,7 @@ import pytest
 from tiny_garments import AREA, FABRIC, tiny_model
 
 from experiments._unknowns import Tape, Unknowns, girth_and_hem, solve, template_projection
-from experiments.inverse import Workshop, draw, markdown
+from experiments.inverse import InverseProblems, draw, markdown
 from tryon_jax.garment import load_design_space, remesh
 from tryon_jax.tryon import drape
 from tryon_jax.wear.fit import girth_round
@@ -99,14 +99,14 @@ def test_a_design_is_recovered_from_its_drape_on_another_topology():
     model = tiny_model()
     # A mesh as coarse as the template would leave much of it unseen.
     model = replace(model, config=replace(model.config, target_area=8e-4))
-    shop = Workshop(model, FABRIC, bucket=768)
-    space = shop.space
+    problems = InverseProblems(model, FABRIC, bucket=768)
+    space = problems.space
     design = space.minimum + np.array([0.3, 0.6, 0.4]) * (space.maximum - space.minimum)
-    garment, mesh = shop.garment(design, seed=5)
+    garment, mesh = problems.garment(design, seed=5)
     vertices = garment.unpad(drape(model, garment, np.zeros(2, np.float32), fabric=FABRIC))
     size = model.config.template_vertices
     projection, seen = template_projection(mesh.template_vertices, mesh.template_weights, size)
-    found, _, info = shop.recover(projection @ vertices, seen, rounds=2, steps=12)
+    found, _, info = problems.recover(projection @ vertices, seen, rounds=2, steps=12)
     start = np.abs(space.mean - design)
     assert (np.abs(found - design) < 0.15 * start + 0.004).all(), (found, design)
     assert info.residual < 1.0

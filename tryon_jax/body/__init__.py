@@ -1,7 +1,7 @@
 """Parametric bodies with SMPL's interface: shape, pose, measurements, the embedded bodies and SMPL files."""
 
 from tryon_jax.body.embedded import load_body
-from tryon_jax.body.fit import MeasurementFit, betas_from_measurements
+from tryon_jax.body.from_measurements import MeasurementFit, betas_from_measurements
 from tryon_jax.body.landmarks import Landmarks, find_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_body
 from tryon_jax.body.normals import face_normals, vertex_normals

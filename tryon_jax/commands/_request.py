@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tryon_jax.body.fit import betas_from_measurements
+from tryon_jax.body.from_measurements import betas_from_measurements
 from tryon_jax.body.measurements import MEASUREMENTS
 from tryon_jax.body.shape import check_betas
 from tryon_jax.checks import check_choice, check_file

@@ -182,7 +182,7 @@ def _as_csr(matrix: sp.sparray | BCOO) -> sp.csr_array:
     return csr
 
 
-def apply_operator(operator: SparseOperator | BCOO, features: Float[ArrayLike, "N *rest"]) -> Float[Array, "M *rest"]:
+def apply_operator(operator: SparseOperator | BCOO, features: Float[ArrayLike, " N *rest"]) -> Float[Array, " M *rest"]:
     """The product of a sparse operator with node features [N, ...], differentiable in the features in every mode.
 
     Args:

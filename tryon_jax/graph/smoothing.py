@@ -106,7 +106,7 @@ def make_smoother(
     return HeatSmoother(operator, heat_coefficients(length**2, bound).astype(dtype))
 
 
-def smooth(smoother: HeatSmoother, values: Float[Array, "N *rest"]) -> Float[Array, "N *rest"]:
+def smooth(smoother: HeatSmoother, values: Float[Array, " N *rest"]) -> Float[Array, " N *rest"]:
     """exp(−length² A) applied to positions or displacements at the vertices; constants are kept."""
     coefficients = jnp.asarray(smoother.coefficients, values.dtype)
     before, now = values, apply_operator(smoother.operator, values)

@@ -7,7 +7,6 @@ every name, shape and type with what the model expects before anything is return
 import dataclasses
 import hashlib
 import json
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from safetensors import SafetensorError
+from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load_file, save
 
 from tryon_jax.checks import check_file
@@ -76,16 +75,11 @@ def read_record(path: str | Path) -> dict[str, Any]:
         ValueError: it is no parameter store, or one of another schema.
     """
     file = check_file("parameter store", path)
-    with file.open("rb") as stream:
-        start = stream.read(8)
-        size = struct.unpack("<Q", start)[0] if len(start) == 8 else -1
-        if not 0 < size <= min(file.stat().st_size, 100_000_000):
-            raise ValueError(f"{str(file)!r} is not a safetensors file")
-        try:
-            header = json.loads(stream.read(size))
-        except (UnicodeDecodeError, json.JSONDecodeError) as error:
-            raise ValueError(f"{str(file)!r} is not a safetensors file: {error}") from error
-    metadata = header.get("__metadata__", {}) if isinstance(header, dict) else {}
+    try:
+        with safe_open(file, framework="numpy") as opened:
+            metadata = opened.metadata() or {}
+    except SafetensorError as error:
+        raise ValueError(f"{str(file)!r} is not a safetensors file, or is damaged: {error}") from error
     if metadata.get("schema") != SCHEMA:
         raise ValueError(f"{str(file)!r} has schema {metadata.get('schema')!r}, this version reads {SCHEMA!r}")
     return json.loads(metadata["record"])

@@ -15,7 +15,7 @@ from tryon_jax.tryon.draping import (
     with_design,
 )
 from tryon_jax.tryon.features import fine_features, smooth_features
-from tryon_jax.tryon.garment import Garment, OwnMesh, stack_garments
+from tryon_jax.tryon.garment import CarriedMesh, Garment, stack_garments
 from tryon_jax.tryon.model import (
     Stage,
     TryOnModel,
@@ -30,10 +30,10 @@ from tryon_jax.tryon.stages import apply_stage, base_and_detail, fine_base, fine
 
 __all__ = [
     "BodyContact",
+    "CarriedMesh",
     "DrapeFields",
     "DrapeStages",
     "Garment",
-    "OwnMesh",
     "PenetrationReport",
     "Stage",
     "StageFields",

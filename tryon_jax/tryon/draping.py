@@ -213,7 +213,7 @@ def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> t
         return smooth, fine
     mean = jnp.asarray(garment.graph.vertices)
 
-    def interpolated(values: Float[ArrayLike, "N *rest"]) -> Float[Array, "M *rest"]:
+    def interpolated(values: Float[ArrayLike, " N *rest"]) -> Float[Array, " M *rest"]:
         near = jnp.asarray(values)[jnp.asarray(own.carriers)]
         return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
 

@@ -14,7 +14,7 @@ from tryon_jax.types import ArrayLike, pytree
 
 
 @pytree
-class OwnMesh:
+class CarriedMesh:
     """A user's mesh, carried by the evenly spaced mesh that the networks see; padded like everything else."""
 
     vertices: Float[ArrayLike, "*batch M 3"]
@@ -43,7 +43,7 @@ class Garment:
     template_vertices: Int[ArrayLike, "*batch N 3"] | None = None
     """Template vertices whose weighted mean is each vertex of M̄ (W of section 2); None as `design`."""
     template_weights: Float[ArrayLike, "*batch N 3"] | None = None
-    own: OwnMesh | None = None
+    own: CarriedMesh | None = None
     """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
 
     @property

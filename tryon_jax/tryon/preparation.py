@@ -19,7 +19,7 @@ from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
 from tryon_jax.nets.mlp import apply_mean_drape
-from tryon_jax.tryon.garment import Garment, OwnMesh
+from tryon_jax.tryon.garment import CarriedMesh, Garment
 from tryon_jax.tryon.model import TryOnModel, config_space
 
 # A user's mesh is taken as it is when its mean triangle area is within this factor of what the networks know.
@@ -131,18 +131,18 @@ def _carried_by_the_pattern(
 ) -> Garment:
     even = remesh(config_space(model.config), mesh.design, model.config.target_area, seed=mesh.seed)
     onto = map_patterns(pattern_arrays(mesh), pattern_arrays(even))
-    own = _own_mesh(vertices, mesh.faces, onto.corners, onto.weights)
+    own = _carried_mesh(vertices, mesh.faces, onto.corners, onto.weights)
     return replace(prepare_mesh(model, even, bucket=bucket), own=own)
 
 
-def _own_mesh(
+def _carried_mesh(
     vertices: Float[np.ndarray, "M 3"],
     faces: Int[np.ndarray, "G 3"],
     carriers: Int[np.ndarray, "M 3"],
     weights: Float[np.ndarray, "M 3"],
-) -> OwnMesh:
+) -> CarriedMesh:
     size = bucket_size(len(vertices))
-    return OwnMesh(
+    return CarriedMesh(
         vertices=pad_rows(vertices, size, np.float32),
         faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
         carriers=pad_rows(carriers, size, np.int32),
@@ -204,4 +204,4 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     if known:
         return Garment(graph, smoother)
     found = MeshSearch(points, triangles).closest(vertices)
-    return Garment(graph, smoother, own=_own_mesh(vertices, faces, triangles[found.face], found.weights))
+    return Garment(graph, smoother, own=_carried_mesh(vertices, faces, triangles[found.face], found.weights))

@@ -152,23 +152,23 @@ def settle(
 ) -> Result:
     """Run a sample to equilibrium, searching its closest points anew every 20 steps; or all steps if tolerance is 0."""
     cloth = build_cloth(faces, uv, faces, len(uv)) if cloth is None else cloth
-    state = start_at(points, cloth) if state is None else state
+    current = start_at(points, cloth) if state is None else state
     springs = np.zeros(len(cloth.vertex_areas), np.float32)
     if pinned is not None:
         springs[pinned] = PINNED
     still = jnp.zeros_like(surface.vertices)
     steps, goal = 0, jnp.asarray(tolerance, jnp.float32)
     while steps < most:
-        samples = sample_points(state.x, cloth)
+        samples = sample_points(current.x, cloth)
         face = closest_faces(surface, samples, nearest_vertices(surface, samples))
         piece = jnp.asarray(min(20, most - steps), jnp.int32)
-        state, report = run_solver(
-            replace(state, face=face), cloth, fabric, surface, settings, still, jnp.asarray(springs), goal, piece
+        current, report = run_solver(
+            replace(current, face=face), cloth, fabric, surface, settings, still, jnp.asarray(springs), goal, piece
         )
         steps += int(report.steps)
         if float(report.residual) <= tolerance:
             break
-    return Result(np.asarray(state.x)[: len(points)], state, report, steps)
+    return Result(np.asarray(current.x)[: len(points)], current, report, steps)
 
 
 def shadow_area(vertices: np.ndarray, faces: np.ndarray, pixel: float = 5e-4) -> float:

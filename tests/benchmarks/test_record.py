@@ -4,7 +4,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from benchmarks.record import Timing, environment, measure, table, write_record
+from benchmarks.record import write_record
+from measuring.records import environment, table
+from measuring.timing import Timing, measure
 
 
 @dataclass(frozen=True)

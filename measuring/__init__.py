@@ -1,0 +1,1 @@
+"""What experiments and benchmarks both need: times, records of the surroundings, tables, textile samples."""
