@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from benchmarks._garments import garment_of, mesh_of_size, model_of
 from benchmarks._subjects import FRESH, Cell, Work
 from tryon_jax.body import load_body, shape_body, vertex_normals
-from tryon_jax.collision import VertexNeighbours, collision_loss, list_neighbours
+from tryon_jax.contact.collision_loss import VertexNeighbours, collision_loss, list_neighbours
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow
 from tryon_jax.physics.fabrics import load_fabric

@@ -36,8 +36,8 @@ from benchmarks._networks import dense_floor
 from benchmarks._pieces import LIMITS, cut_off, failed, measured, read_begun, too_large, too_long
 from benchmarks._subjects import Cell, Work, config_of, tryon_model
 from benchmarks.record import RESULTS
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_choice
+from tryon_jax.files.atomic import write_text
 from tryon_jax.garment import load_design_space
 from tryon_jax.tryon import load_pretrained, prepare
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.record import RESULTS, table
 from benchmarks.report import device, load_records
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_range
+from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.recipes import chain
 

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 
 import tryon_jax
-from tryon_jax.atomic import write_text
+from tryon_jax.files.atomic import write_text
 
 RESULTS = Path(__file__).parent / "results"
 """Where results are kept, one file for each benchmark and device."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from benchmarks.compare import ALL
 from benchmarks.record import RESULTS, table
-from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.files.atomic import atomic_path, write_text
 
 ABOUT = {
     "Laplacian product": "L̃ x on the finest level, for the features of the first layer. Beside it: SciPy (one thread) "

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import tryon_jax as tj
-from tryon_jax.export import mesh_part, write_mesh
-from tryon_jax.mesh.signed_distance import ClosedSurface
-from tryon_jax.pushout import push_out
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.files.export import mesh_part, write_mesh
 
 
 def tube_dress(rows: int = 34, columns: int = 72) -> tuple[np.ndarray, np.ndarray]:

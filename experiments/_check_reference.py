@@ -9,7 +9,7 @@ import numpy as np
 from experiments._check import STATIC, Config, Found
 from experiments._mechanics import sample_fabric, settle
 from tryon_jax.checks import check_file
-from tryon_jax.contact import build_surface
+from tryon_jax.contact.surface import build_surface
 from tryon_jax.physics.bending import bending_force, dihedral_angles
 from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.fabrics import load_fabric

@@ -3,7 +3,7 @@
 import csv
 from pathlib import Path
 
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 
 
 def draw_curve(folder: Path, measure: str) -> None:

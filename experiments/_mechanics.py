@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import Delaunay
 
-from tryon_jax.contact import Surface, build_surface, closest_faces, nearest_vertices
+from tryon_jax.contact.closest_points import closest_faces
+from tryon_jax.contact.surface import Surface, build_surface, nearest_vertices
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import GRID, Fabric, load_fabric

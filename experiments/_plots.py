@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 
 
 def save_figure(path: Path, figure: Any) -> None:

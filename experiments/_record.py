@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.record import environment
-from tryon_jax.atomic import write_text
+from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import mean_path, read_config
 from tryon_jax.training.recipes import dataset_checksum

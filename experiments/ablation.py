@@ -23,7 +23,7 @@ from experiments._variants import (
     train_variant,
     variant_garments,
 )
-from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.config import load_config

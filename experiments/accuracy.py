@@ -25,9 +25,10 @@ from experiments._evaluate import (
 from experiments._neighbours import Drapes, NearestGarments, load_drapes, transfer
 from experiments._record import RESULTS, publish, read_result
 from experiments.ablation import block_ratio
-from tryon_jax.atomic import atomic_path
+from tryon_jax.contact.skin import Skin
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.metrics import Skin, compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path

@@ -10,11 +10,12 @@ from tqdm import tqdm
 
 from experiments._evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
 from experiments._record import RESULTS, publish
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.mesh.signed_distance import ClosedSurface
-from tryon_jax.metrics import Skin, vertex_distances
+from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.store import read_record
-from tryon_jax.pushout import push_out
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import chain, model_path

@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.record import environment, table
 from experiments._record import describe_dataset, write_result
-from tryon_jax.atomic import atomic_path, write_text
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.checks import check_range
+from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import RULES, STATISTICS, default_root, is_good, load_arrays, mesh_path, read_config

@@ -12,7 +12,7 @@ from tqdm import tqdm
 from experiments._evaluate import Stack, available, open_model, spread
 from experiments._neighbours import load_drapes
 from experiments._record import RESULTS, publish
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment import GarmentMesh, remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays

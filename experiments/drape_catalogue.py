@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from experiments._pool import checksums, open_pool, run_all
-from tryon_jax.atomic import write_text
-from tryon_jax.catalogue import CatalogueConfig, drape_block, open_catalogue
 from tryon_jax.checks import check_range
+from tryon_jax.commands._catalogue import CatalogueConfig, drape_block, open_catalogue
+from tryon_jax.files.atomic import write_text
 
 
 @dataclass(frozen=True)

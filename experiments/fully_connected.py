@@ -12,7 +12,7 @@ from experiments._dense import DenseMeshes, DenseNetwork, load_samples, train_de
 from experiments._evaluate import Pipeline, available, case_names, held_out_rows, load_all, open_model, spread
 from experiments._record import RESULTS, publish
 from experiments.memory import PAPER_MEGABYTES, dense_bytes, dense_layers
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.dense import DENSE_VERTICES
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import hausdorff_distance, vertex_distances

@@ -23,10 +23,9 @@ from experiments._unknowns import (
     solve,
     template_projection,
 )
-from tryon_jax.atomic import atomic_path
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import measure_vertices
-from tryon_jax.fit import girth_round, tape_place
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment import GarmentMesh, placement, remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.physics.cloth import build_cloth
@@ -37,6 +36,7 @@ from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
+from tryon_jax.wear.fit import girth_round, tape_place
 
 BUCKET = 4608
 """Most garments of the design space fit, so that one size is compiled; larger ones get their own."""

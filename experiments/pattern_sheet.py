@@ -7,8 +7,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.record import environment
-from tryon_jax.atomic import atomic_path, write_text
 from tryon_jax.checks import check_choice
+from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.garment import load_manifest, remesh
 from tryon_jax.garment.panels import draw_panels, draw_triangles
 

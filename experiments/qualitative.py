@@ -9,9 +9,10 @@ import numpy as np
 
 from experiments._evaluate import body_vertices, open_model
 from experiments._record import RESULTS, publish
+from tryon_jax.contact.skin import Skin
 from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.metrics import Skin, area_strain, self_intersecting_share
+from tryon_jax.metrics import area_strain, self_intersecting_share
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import config_space, drape, prepare_mesh

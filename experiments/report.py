@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments._record import RESULTS, read_result
-from tryon_jax.atomic import write_text
+from tryon_jax.files.atomic import write_text
 from tryon_jax.training.recipes import chain
 
 SECTIONS = {

@@ -16,15 +16,15 @@ from tqdm import tqdm
 from benchmarks.record import Timing, measure
 from experiments._evaluate import body_vertices, open_model
 from experiments._record import RESULTS, publish
-from tryon_jax.atomic import atomic_path
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment import placement, remesh
-from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.metrics import vertex_distances
 from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow, sweep
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
-from tryon_jax.pushout import push_out
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import TryOnModel, config_space, drape, prepare_mesh
 

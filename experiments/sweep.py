@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from experiments._record import RESULTS, publish
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.config import SMALL
 from tryon_jax.nets.unet import UNetConfig, count_parameters

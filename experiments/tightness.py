@@ -14,13 +14,13 @@ from experiments._evaluate import Pipeline, body_vertices, case_names, load_all,
 from experiments._record import RESULTS, publish
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.checks import check_range
-from tryon_jax.fit import measure_fit
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stretch import MAX_TENSION
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path, read_config
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.samples import read_samples
+from tryon_jax.wear.fit import measure_fit
 
 
 @dataclass(frozen=True)

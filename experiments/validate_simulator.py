@@ -18,8 +18,8 @@ from experiments._check_reference import check_forces, check_tube
 from experiments._check_textiles import check_cantilever, check_drape, check_uniaxial
 from experiments._plots import plot_checks
 from experiments._record import read_result, write_result
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_choice
+from tryon_jax.files.atomic import write_text
 from tryon_jax.physics.fabrics import fabric_names
 
 NAME = "validate_simulator"

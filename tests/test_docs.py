@@ -19,7 +19,7 @@ from test_examples import load as load_example
 
 from tryon_jax.body import load_body
 from tryon_jax.cli import find_commands, main
-from tryon_jax.export import mesh_part, write_mesh
+from tryon_jax.files.export import mesh_part, write_mesh
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

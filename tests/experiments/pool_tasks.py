@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from tryon_jax.atomic import write_text
+from tryon_jax.files.atomic import write_text
 
 
 def write_number(root: str, number: int, victim: int = -1) -> str:

@@ -10,9 +10,9 @@ from tiny_garments import AREA, FABRIC, tiny_model
 
 from experiments._unknowns import Tape, Unknowns, girth_and_hem, solve, template_projection
 from experiments.inverse import Workshop, draw, markdown
-from tryon_jax.fit import girth_round
 from tryon_jax.garment import load_design_space, remesh
 from tryon_jax.tryon import drape
+from tryon_jax.wear.fit import girth_round
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

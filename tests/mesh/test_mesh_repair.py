@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tryon_jax.export import mesh_part, write_mesh
+from tryon_jax.files.export import mesh_part, write_mesh
 from tryon_jax.mesh.quality import areas
 from tryon_jax.mesh.repair import load_garment, repair_mesh
 from tryon_jax.mesh.topology import directed_edges, inspect_topology

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from cloth_scenes import horizontal, make_cloth, make_fabric, place, sheet, slab, start
 
-from tryon_jax.contact import build_surface
+from tryon_jax.contact.surface import build_surface
 from tryon_jax.physics.body_contact import (
     SLIDING,
     ContactLaw,

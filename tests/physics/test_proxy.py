@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tryon_jax.body import load_body
-from tryon_jax.contact import closest_points
+from tryon_jax.contact.closest_points import closest_points
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.mesh.topology import inspect_topology
 from tryon_jax.physics.dressing import Obstacle

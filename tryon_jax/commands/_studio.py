@@ -14,16 +14,16 @@ from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.checks import check_choice, check_range
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_design
-from tryon_jax.fit import Fit, measure_fit, pattern_of
+from tryon_jax.contact.push_out import PushedOut, push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.build import closest_body_vertices
 from tryon_jax.mesh.repair import load_garment
-from tryon_jax.mesh.signed_distance import ClosedSurface
-from tryon_jax.other_body import OtherBody
 from tryon_jax.physics.fabrics import known_fabric
-from tryon_jax.posing import pose_dressed, soft_skinning
-from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare, prepare_mesh
+from tryon_jax.wear.fit import Fit, measure_fit, pattern_of
+from tryon_jax.wear.other_body import OtherBody
+from tryon_jax.wear.posing import pose_dressed, soft_skinning
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tryon_jax.atomic import write_text
 from tryon_jax.body import check_betas, load_body, load_smpl, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_vertices
 from tryon_jax.commands._request import BodyShape, resolve_betas
-from tryon_jax.export import SKIN, check_suffix, mesh_part, write_mesh
+from tryon_jax.files.atomic import write_text
+from tryon_jax.files.export import SKIN, check_suffix, mesh_part, write_mesh
 from tryon_jax.render import render_picture
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.types import Body

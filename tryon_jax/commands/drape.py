@@ -15,19 +15,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tryon_jax.atomic import write_text
 from tryon_jax.body import load_smpl
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._studio import Draped, Studio
-from tryon_jax.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
-from tryon_jax.fit import Fit
-from tryon_jax.other_body import meet
-from tryon_jax.posing import read_pose
-from tryon_jax.pushout import CLEARANCE
+from tryon_jax.contact.push_out import CLEARANCE
+from tryon_jax.files.atomic import write_text
+from tryon_jax.files.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
 from tryon_jax.render import ColorScale, render_picture
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.tryon import TryOnModel, load_model
+from tryon_jax.wear.fit import Fit
+from tryon_jax.wear.other_body import meet
+from tryon_jax.wear.posing import read_pose
 
 
 @dataclass(frozen=True)

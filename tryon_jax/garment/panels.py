@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.garment.design import Design, DesignSpace
 from tryon_jax.garment.mesh import GarmentMesh, SewnMesh
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_range
+from tryon_jax.files.atomic import write_text
 from tryon_jax.garment import curves
 from tryon_jax.garment.design import Design, DesignSpace
 from tryon_jax.garment.layout import Panel

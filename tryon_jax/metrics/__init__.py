@@ -1,4 +1,4 @@
-"""What experiments and users measure on drapes (host side): distances, penetration, strain, wrinkles.
+"""What experiments and users measure on drapes (host side): distances, strain, wrinkles.
 
 Lengths are metres unless a name says otherwise; nothing here is trained on.
 """
@@ -10,7 +10,6 @@ from tryon_jax.metrics.distance import (
     sample_surface,
     vertex_distances,
 )
-from tryon_jax.metrics.penetration import Penetration, Skin
 from tryon_jax.metrics.strain import area_strain, edge_strain
 from tryon_jax.metrics.wrinkles import (
     FoldStatistics,
@@ -24,8 +23,6 @@ from tryon_jax.metrics.wrinkles import (
 
 __all__ = [
     "FoldStatistics",
-    "Penetration",
-    "Skin",
     "WrinkleComparison",
     "angle_between_normals",
     "area_strain",

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.body.normals import vertex_normals
 from tryon_jax.checks import check_finite, check_range
-from tryon_jax.contact import closest_point_on_triangle
+from tryon_jax.contact.closest_points import closest_point_on_triangle
 from tryon_jax.mesh.quality import edge_lengths
 from tryon_jax.types import EXACT
 

@@ -19,8 +19,8 @@ from jaxtyping import Array
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
-from tryon_jax.atomic import write_bytes
 from tryon_jax.checks import check_file
+from tryon_jax.files.atomic import write_bytes
 from tryon_jax.types import Body
 
 SCHEMA = "tryon_jax/parameters/1"

@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tryon_jax.contact import Surface, closest_faces, move_surface, nearest_vertices
+from tryon_jax.contact.closest_points import closest_faces
+from tryon_jax.contact.surface import Surface, move_surface, nearest_vertices
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, start_state, weightless

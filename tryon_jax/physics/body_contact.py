@@ -8,7 +8,8 @@ a millimetre) and holds tight woven cloth (tens of kilopascals) off the skin, at
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from tryon_jax.contact import Surface, SurfacePoint, follow_faces, point_on_faces
+from tryon_jax.contact.closest_points import SurfacePoint, follow_faces, point_on_faces
+from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.types import Scalar, pytree

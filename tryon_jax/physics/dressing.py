@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from tryon_jax.body import shape_body
-from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, nearest_vertices
+from tryon_jax.contact.closest_points import closest_faces
+from tryon_jax.contact.surface import Surface, build_surface, move_surface, nearest_vertices
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from jaxtyping import Array, Float, Int
 from scipy.spatial import cKDTree
 
-from tryon_jax.contact import closest_point_on_triangle
+from tryon_jax.contact.closest_points import closest_point_on_triangle
 from tryon_jax.mesh.topology import unique_edges
 from tryon_jax.physics.body_contact import ContactLaw, pressure
 from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree

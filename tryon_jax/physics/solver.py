@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from tryon_jax.contact import Surface
+from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stiffness
 from tryon_jax.physics.body_contact import (
     Contact,

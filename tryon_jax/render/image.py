@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.atomic import atomic_path
+from tryon_jax.files.atomic import atomic_path
 from tryon_jax.render.colors import ColorScale
 
 if TYPE_CHECKING:

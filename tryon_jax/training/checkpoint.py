@@ -15,7 +15,7 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from tryon_jax.atomic import write_bytes, write_text
+from tryon_jax.files.atomic import write_bytes, write_text
 from tryon_jax.training.dataset import load_arrays, save_arrays
 
 MAX_BYTES = 15_000_000

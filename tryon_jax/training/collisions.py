@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from tqdm import tqdm
 
 from tryon_jax.body import shape_body, vertex_normals
-from tryon_jax.collision import collision_loss, list_neighbours
+from tryon_jax.contact.collision_loss import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
 from tryon_jax.nets.unet import UNet
 from tryon_jax.training.garments import training_bucket

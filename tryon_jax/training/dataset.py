@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.physics.stretch import MAX_TENSION
 
 STATISTICS = ("residual", "steps", "depth", "inside", "self_intersections", "tension", "stretch")

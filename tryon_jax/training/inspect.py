@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, nearest_vertices, point_on_faces
+from tryon_jax.contact.closest_points import closest_faces, point_on_faces
+from tryon_jax.contact.skin import FACE_SAMPLES, extremity_vertices
+from tryon_jax.contact.surface import Surface, build_surface, move_surface, nearest_vertices
 from tryon_jax.mesh.intersections import self_intersecting_faces
-from tryon_jax.metrics.penetration import FACE_SAMPLES, extremity_vertices
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.dressing import Drape, Obstacle
 from tryon_jax.physics.fabrics import Fabric

@@ -20,7 +20,7 @@ import optax
 import optax.contrib
 from tqdm import tqdm
 
-from tryon_jax.atomic import write_text
+from tryon_jax.files.atomic import write_text
 from tryon_jax.training.checkpoint import load_checkpoint, save_checkpoint
 from tryon_jax.training.interrupts import stop_requests
 from tryon_jax.training.parallel import SingleDevice, visible_devices

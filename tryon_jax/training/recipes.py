@@ -20,8 +20,8 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_range
+from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig

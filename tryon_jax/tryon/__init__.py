@@ -1,5 +1,6 @@
 """The method put together: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
 
+from tryon_jax.contact.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
 from tryon_jax.tryon.garment import Garment, OwnMesh, stack_garments
 from tryon_jax.tryon.model import (
     Stage,
@@ -10,7 +11,6 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
-from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
 from tryon_jax.tryon.preparation import prepare, prepare_mesh
 from tryon_jax.tryon.stages import (
     DrapeStages,

@@ -4,8 +4,9 @@ import dataclasses
 from collections.abc import Sequence
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.graph.build import GarmentGraph
 from tryon_jax.graph.smoothing import HeatSmoother
@@ -49,6 +50,19 @@ class Garment:
     def num_vertices(self) -> int:
         """Number of real vertices V; host side, one garment."""
         return int(self.graph.num_vertices if self.own is None else self.own.num_vertices)
+
+    @property
+    def mask(self) -> Bool[Array, " N"]:
+        """True for real vertices, false for padding, as `drape` returns them; one garment."""
+        real = self.graph.num_vertices if self.own is None else self.own.num_vertices
+        rows = self.graph.vertices if self.own is None else self.own.vertices
+        return jnp.arange(rows.shape[-2]) < jnp.asarray(real)
+
+    @property
+    def body_vertices(self) -> Int[Array, " N"]:
+        """The body vertex closest on the mean body to each vertex; to its first carrier, for a user's own mesh."""
+        closest = jnp.asarray(self.graph.body_vertices)
+        return closest if self.own is None else closest[jnp.asarray(self.own.carriers)[:, 0]]
 
     @property
     def faces(self) -> Int[np.ndarray, "F 3"]:

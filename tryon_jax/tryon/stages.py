@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tryon_jax.checks import check_choice
+from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.graph.build import GarmentGraph
 from tryon_jax.graph.smoothing import smooth
 from tryon_jax.nets.config import TryOnConfig
@@ -14,7 +15,6 @@ from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.nets.unet import apply_unet
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import Stage, TryOnModel
-from tryon_jax.tryon.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.types import EXACT, ArrayLike, pytree
 
 
@@ -95,7 +95,7 @@ def drape_stages(
     report = None
     if contact is not None:
         rows = fine.reshape(-1, *fine.shape[-2:])
-        report = report_penetration(contact, model.body, garment, rows, flat)
+        report = report_penetration(contact, model.body, rows, flat, garment.body_vertices, garment.mask)
         report = jax.tree.map(lambda x: x.reshape(*betas.shape[:-1], *x.shape[1:]), report)
     return DrapeStages(carry(garment, vertices, vertices), finish(smooth_vertices), fine, report)
 

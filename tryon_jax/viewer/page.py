@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from tryon_jax.export import CLOTH, SKIN, Material, mesh_part, write_glb
+from tryon_jax.files.export import CLOTH, SKIN, Material, mesh_part, write_glb
 from tryon_jax.render.picture import background
 from tryon_jax.render.scene import srgb_value
 from tryon_jax.viewer.controls import CUSTOM, DOWNLOADS, PLAIN, Controls

@@ -25,7 +25,7 @@ def serve(
         host: address to listen on; everybody who reaches it can use the page.
         port: where to listen; the next free one is taken when it is in use.
         own: a garment's mesh that pages begin with, in place of a design.
-        own_body: a body to dress in place of the networks' one, see `tryon_jax.other_body`.
+        own_body: a body to dress in place of the networks' one, see `tryon_jax.wear.other_body`.
         source: options that model and body were named by, for the command line that the page shows.
 
     Raises:

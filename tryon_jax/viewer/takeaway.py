@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from tryon_jax.checks import check_choice
-from tryon_jax.export import CLOTH, SKIN, mesh_part, write_mesh
-from tryon_jax.fit import Fit
+from tryon_jax.files.export import CLOTH, SKIN, mesh_part, write_mesh
 from tryon_jax.garment import DesignSpace
 from tryon_jax.garment.svg import pattern_svg
 from tryon_jax.render import ColorScale, render_picture
 from tryon_jax.viewer.wardrobe import Look, Wish
+from tryon_jax.wear.fit import Fit
 
 MAPS = {
     "ease": ColorScale("distance from the body, cm", 0, 8),

@@ -17,20 +17,20 @@ from tryon_jax.body import MeasurementFit, betas_from_measurements, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.checks import check_choice
-from tryon_jax.fit import Fit, measure_fit, pattern_of
+from tryon_jax.contact.push_out import PushedOut, push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment import Design, GarmentMesh, build_template, placement, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import closest_body_vertices
 from tryon_jax.mesh.repair import LoadedGarment
-from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.nets.mlp import apply_mean_drape
-from tryon_jax.other_body import OtherBody, meet
 from tryon_jax.physics.fabrics import known_fabric
-from tryon_jax.posing import soft_skinning
-from tryon_jax.pushout import PushedOut, push_out
 from tryon_jax.training.protocol import EXTENT
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape_stages, prepare, prepare_mesh
 from tryon_jax.types import Body
+from tryon_jax.wear.fit import Fit, measure_fit, pattern_of
+from tryon_jax.wear.other_body import OtherBody, meet
+from tryon_jax.wear.posing import soft_skinning
 
 LAYERS: tuple[str, ...] = (
     "drape",
@@ -126,7 +126,7 @@ class Wardrobe:
     """Answers wishes with one model. Garments are padded to one size, so that a new design compiles nothing."""
 
     def __init__(self, model: TryOnModel, own_body: Body | None = None) -> None:
-        """Get ready; with `own_body` that body is dressed in place of the networks' (see `tryon_jax.other_body`)."""
+        """Get ready; with `own_body` that body is dressed in place of the networks' (see `wear.other_body`)."""
         self.model = model
         self.space = config_space(model.config)
         self.body = model.body if own_body is None else own_body

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from jaxtyping import Float, Int
 
 from tryon_jax.checks import check_finite, check_range
-from tryon_jax.mesh.signed_distance import ClosedSurface
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.mesh.topology import unique_edges
 
 CLEARANCE = 0.002

@@ -8,17 +8,14 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tryon_jax.contact import (
-    Surface,
-    build_surface,
+from tryon_jax.contact.closest_points import (
     closest_faces,
     closest_point_on_triangle,
     closest_points,
     follow_faces,
-    move_surface,
-    nearest_vertices,
     point_on_faces,
 )
+from tryon_jax.contact.surface import Surface, build_surface, move_surface, nearest_vertices
 
 on_triangle = jax.jit(closest_point_on_triangle)
 

@@ -2,7 +2,7 @@ import os
 
 import pytest
 
-from tryon_jax.atomic import atomic_path, write_text
+from tryon_jax.files.atomic import atomic_path, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_no_debris(tmp_path):

@@ -15,7 +15,7 @@ from tryon_jax.body import betas_from_measurements, shape_body
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.body.smpl import SMPL_JOINTS
-from tryon_jax.mesh.signed_distance import ClosedSurface
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.types import ArrayLike, Body
 
 ALIKE = ("stature", "chest", "waist", "hip")
@@ -52,7 +52,7 @@ class OtherBody:
 
         Args:
             garment: the drape, metres.
-            weights: its skinning weights on the networks' body, e.g. from `tryon_jax.posing.soft_skinning`.
+            weights: its skinning weights on the networks' body, e.g. from `tryon_jax.wear.posing.soft_skinning`.
             known_betas: shape of the networks' body that it was draped on.
             betas: shape of this body.
         """

@@ -17,8 +17,8 @@ from trimesh.exchange.gltf import export_glb
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
-from tryon_jax.atomic import atomic_path, write_bytes, write_text
 from tryon_jax.checks import check_finite
+from tryon_jax.files.atomic import atomic_path, write_bytes, write_text
 from tryon_jax.types import ArrayLike
 
 

@@ -8,8 +8,8 @@ from jax.test_util import check_grads
 from scipy.spatial import cKDTree
 
 from tryon_jax.body import load_body, shape_body, vertex_normals
-from tryon_jax.collision import closest_vertices, collision_depths, collision_loss, list_neighbours
-from tryon_jax.contact import closest_vertices_exact
+from tryon_jax.contact.collision_loss import closest_vertices, collision_depths, collision_loss, list_neighbours
+from tryon_jax.contact.surface import closest_vertices_exact
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from tests.graph_meshes import tube
-from tryon_jax.mesh.signed_distance import ClosedSurface
-from tryon_jax.pushout import push_out, sample_matrix
+from tryon_jax.contact.push_out import push_out, sample_matrix
+from tryon_jax.contact.signed_distance import ClosedSurface
 
 
 @pytest.fixture(scope="module")

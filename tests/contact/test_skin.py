@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from tryon_jax.body import load_body, shape_body, vertex_normals
-from tryon_jax.metrics import Skin
+from tryon_jax.contact.skin import Skin
 from tryon_jax.types import Body
 
 

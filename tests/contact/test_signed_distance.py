@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tryon_jax.mesh.signed_distance import ClosedSurface, _parts
+from tryon_jax.contact.signed_distance import ClosedSurface, _parts
 
 
 def test_box_has_its_analytic_distance_inside_outside_and_at_corners():

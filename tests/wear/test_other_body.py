@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tryon_jax.body import load_body, shape_body
-from tryon_jax.other_body import meet
+from tryon_jax.wear.other_body import meet
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from tryon_jax.body.landmarks import GIRTHS, Landmarks
 from tryon_jax.body.measurements import measure_vertices
-from tryon_jax.mesh.signed_distance import ClosedSurface
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.stretch import MAX_TENSION, tension_along
 from tryon_jax.types import ArrayLike

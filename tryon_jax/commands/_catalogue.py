@@ -16,8 +16,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.atomic import write_text
 from tryon_jax.checks import check_choice, check_range
+from tryon_jax.files.atomic import write_text
 from tryon_jax.garment import Design
 from tryon_jax.training.dataset import save_arrays
 from tryon_jax.training.protocol import EXTENT

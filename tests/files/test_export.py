@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tryon_jax.export import CLOTH, SKIN, mesh_part, vertex_normals, write_mesh
+from tryon_jax.files.export import CLOTH, SKIN, mesh_part, vertex_normals, write_mesh
 
 # Two unit squares side by side in space, folded along x = 1, cut apart along that fold in the pattern.
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1, 0, -1], [1, 1, -1]], np.float32)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from flat_model import flat_model
 
-from tryon_jax import catalogue
-from tryon_jax.catalogue import CatalogueConfig, block_path, catalogue_betas, drape_block, open_catalogue
+from tryon_jax.commands import _catalogue as catalogue
+from tryon_jax.commands._catalogue import CatalogueConfig, block_path, catalogue_betas, drape_block, open_catalogue
 from tryon_jax.training.dataset import load_arrays
 from tryon_jax.training.protocol import EXTENT
 from tryon_jax.tryon import save_model

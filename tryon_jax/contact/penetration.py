@@ -1,15 +1,15 @@
-"""How far a drape is inside the body, measured where it is made: pure, jittable, for any bucket and any body shape."""
+"""How far a drape is inside the body, measured on the device: pure, jittable, for any bucket and any body shape."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.body.shape import shape_body
-from tryon_jax.collision import VertexNeighbours, closest_vertices, list_neighbours
-from tryon_jax.contact import Surface, build_surface, closest_faces, follow_faces, move_surface, point_on_faces
-from tryon_jax.tryon.garment import Garment
-from tryon_jax.types import Body, pytree
+from tryon_jax.contact.closest_points import closest_faces, follow_faces, point_on_faces
+from tryon_jax.contact.collision_loss import VertexNeighbours, closest_vertices, list_neighbours
+from tryon_jax.contact.surface import Surface, build_surface, move_surface
+from tryon_jax.types import ArrayLike, Body, pytree
 
 
 @pytree
@@ -46,9 +46,10 @@ def body_contact(body: Body) -> BodyContact:
 def report_penetration(
     contact: BodyContact,
     body: Body,
-    garment: Garment,
     vertices: Float[Array, "B N 3"],
     betas: Float[Array, "B b"],
+    start: Int[ArrayLike, " N"],
+    mask: Bool[ArrayLike, " N"],
 ) -> PenetrationReport:
     """Distances of draped vertices from the skin of the bodies that they are worn on.
 
@@ -59,16 +60,13 @@ def report_penetration(
     Args:
         contact: From `body_contact` of this body.
         body: The body.
-        garment: The garment, for its padding and the places on the mean body.
         vertices: As `drape` returns them, padded, metres.
         betas: One body shape for each row of vertices.
+        start: The body vertex closest to each garment vertex on the mean body, `garment.body_vertices`.
+        mask: True for real vertices, `garment.mask`.
     """
-    own = garment.own
-    start = jnp.asarray(garment.graph.body_vertices)
-    if own is not None:
-        start = start[jnp.asarray(own.carriers)[:, 0]]
-    count = jnp.asarray(garment.graph.num_vertices if own is None else own.num_vertices)
-    real = jnp.arange(vertices.shape[-2]) < count
+    real = jnp.asarray(mask)
+    count = jnp.maximum(real.sum(), 1)
 
     def of_one(points: Float[Array, "N 3"], shape: Float[Array, " b"]) -> PenetrationReport:
         skin = move_surface(contact.surface, shape_body(body, shape)[0])

@@ -10,9 +10,9 @@ import pytest
 from jax.test_util import check_grads
 
 from tryon_jax.body import load_body, shape_body
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment import build_template, load_design_space, placement, remesh
 from tryon_jax.graph.resample import split_long_edges
-from tryon_jax.mesh.signed_distance import ClosedSurface
 from tryon_jax.nets import TryOnConfig, UNetConfig, apply_mean_drape
 from tryon_jax.tryon import (
     DrapeStages,
@@ -65,7 +65,9 @@ def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
     assert isinstance(stages, DrapeStages)
     np.testing.assert_allclose(
         stages.penetration.distance,
-        measured(body_contact(model.body), model.body, garment, stages.fine, betas).distance,
+        measured(
+            body_contact(model.body), model.body, stages.fine, betas, garment.body_vertices, garment.mask
+        ).distance,
         atol=1e-6,
     )
     assert stages.fine.shape == stages.smooth.shape == (3, garment.graph.num_nodes, 3)
@@ -83,7 +85,8 @@ def test_stages_have_the_methods_shape_and_padding_is_zero(model, garment):
 def test_penetration_report_against_exact_distances(model, garment):
     betas = jnp.array([[0.5, -1.0], [0.0, 0.0], [2.0, 1.0]])
     vertices = jnp.broadcast_to(jnp.asarray(garment.graph.vertices), (3, garment.graph.num_nodes, 3))
-    report, real = measured(body_contact(model.body), model.body, garment, vertices, betas), garment.num_vertices
+    places = garment.body_vertices, garment.mask
+    report, real = measured(body_contact(model.body), model.body, vertices, betas, *places), garment.num_vertices
     assert report.distance.shape == (3, garment.graph.num_nodes)
     assert not np.asarray(report.distance[:, real:]).any()
     for k, shape in enumerate(betas):

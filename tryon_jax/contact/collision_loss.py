@@ -5,7 +5,7 @@ The closest body vertex is found by walking: each garment vertex starts at the b
 mean body and moves to the closest of that vertex's listed neighbours, a fixed number of times. Lists are made once
 per body on the host. A flag says which walks had not come to rest; one at rest can still be in a local minimum, which
 on simulated garments and shaken positions happened to at most 1.5 % of the vertices, and to none within 1 cm of the
-skin, where alone it could change the loss. Brute force (`contact.closest_vertices_exact`), several hundred times as
+skin, where alone it could change the loss. Brute force (`surface.closest_vertices_exact`), several hundred times as
 expensive, is there to check against.
 """
 

@@ -7,7 +7,8 @@ import pytest
 
 import tryon_jax as tj
 from tools.ship_weights import DESIGNS, TORN, largest_strain
-from tryon_jax.contact import build_surface, closest_points
+from tryon_jax.contact.closest_points import closest_points
+from tryon_jax.contact.surface import build_surface
 
 
 @pytest.fixture(scope="module")

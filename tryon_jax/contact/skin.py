@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from tryon_jax.body.shape import check_betas, shape_body
-from tryon_jax.contact import Surface, build_surface, closest_faces, move_surface, point_on_faces
+from tryon_jax.contact.closest_points import closest_faces, point_on_faces
+from tryon_jax.contact.surface import Surface, build_surface, move_surface
 from tryon_jax.types import ArrayLike, Body
 
 FACE_SAMPLES = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4], [2, 2, 2]]) / 6

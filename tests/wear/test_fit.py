@@ -4,9 +4,9 @@ import pytest
 
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.body.landmarks import load_landmarks
-from tryon_jax.fit import EASE_AT, girth_round, measure_fit, pattern_of, stretches, tape_place
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stretch import stiffness, tension_along
+from tryon_jax.wear.fit import EASE_AT, girth_round, measure_fit, pattern_of, stretches, tape_place
 
 
 def cylinder(radius, low, high, rows=9, columns=240, around=(0.0, 0.0)):

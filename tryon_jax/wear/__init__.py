@@ -1,0 +1,1 @@
+"""What is done with a drape on a body: its fit, poses, other bodies."""
