@@ -1,4 +1,4 @@
-"""JAX in double precision, which its users set in the environment: everything runs, in the precision of what it holds."""
+"""JAX in double precision, as users set it: everything runs, in the precision of what it holds."""
 
 import os
 import subprocess
