@@ -97,12 +97,12 @@ def main(config: Config) -> None:
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
-    pipeline, skin = Pipeline(model), Skin(model.body)
+    pipeline = Pipeline(model)
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
             rows = wanted[case, name]
-            measured = measure(garments[name], rows, pipeline, neighbours, skin, config.inside_shapes)
+            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes)
             measure_spread(measured, config.data, garments[name], rows, trained)
             for row, by_fabric in measured.items():
                 for fabric, errors in by_fabric.items():
@@ -125,7 +125,7 @@ def measure(
     rows: np.ndarray,
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
-    skin: Skin,
+    body: Body,
     inside_shapes: int,
 ) -> Table:
     """Errors of every row of the table on one garment."""
@@ -134,14 +134,14 @@ def measure(
         return table
     count, ends = samples.garment.num_vertices, ray_ends(samples.betas[rows])
     looked_at = spread(len(rows), inside_shapes)
-    bodies = [skin.at(samples.betas[rows[k]]) for k in looked_at]
+    skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
     for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
         simulated = samples.drapes[fabric][rows, :count]
         fine = _fine(samples, simulated)
         for row, predicted in {**drapes, "simulation": simulated}.items():
             errors = table.setdefault(row, {}).setdefault(fabric, Errors())
             errors.add(vertex_distances(predicted, simulated), ends)
-            errors.inside += [body.inside_share(predicted[k]) for body, k in zip(bodies, looked_at, strict=True)]
+            errors.inside += [skin.inside_share(predicted[k]) for skin, k in zip(skins, looked_at, strict=True)]
             if len(rows) > 1:
                 errors.wrinkles.append(compare_wrinkles(_fine(samples, predicted), fine))
         own = table.setdefault("smooth, own target", {}).setdefault(fabric, Errors())

@@ -74,7 +74,7 @@ def measure(
     pushed: bool = False,
 ) -> dict[str, Any]:
     """Penetration by signed distance and error over test shapes of each case; `pushed`: after the push-out as well."""
-    pipeline, skin = Pipeline(model), Skin(model.body)
+    pipeline = Pipeline(model)
     measured: dict[str, Any] = {}
     for case, group in cases.items():
         found: list[tuple[float, ...]] = []
@@ -86,7 +86,7 @@ def measure(
             shaped = body_vertices(model, samples.betas[rows])
             for fabric, predicted in pipeline(samples, rows, fabrics).items():
                 for k, row in enumerate(rows):
-                    body = skin.at(samples.betas[row])
+                    body = Skin.of_shape(model.body, samples.betas[row])
                     simulated = samples.drapes[fabric][row, :count]
                     here = body.penetration(predicted.fine[k], faces)
                     there = body.penetration(simulated, faces)

@@ -59,7 +59,7 @@ def main(config: Config) -> None:
     model = open_model(weights, config.untrained, (config.fabric,))
     run = jax.jit(drape, static_argnames="fabric")
     betas = np.array(config.betas, np.float32)
-    bodies, skin = body_vertices(model, betas), Skin(model.body)
+    bodies = body_vertices(model, betas)
     space = config_space(model.config)
     items, rows = [], []
     for label, color in zip(config.designs, COLORS, strict=False):
@@ -71,7 +71,7 @@ def main(config: Config) -> None:
         for k, shape in enumerate(betas):
             title = f"{label.removeprefix('unseen-')} · betas {shape[0]:g}, {shape[1]:g}"
             items.append(SheetItem((bodies[k], np.asarray(model.body.faces)), (vertices[k], faces), title, color))
-            found = skin.at(shape).penetration(vertices[k], faces)
+            found = Skin.of_shape(model.body, shape).penetration(vertices[k], faces)
             strain = area_strain(vertices[k], faces, mesh.uv, mesh.faces_uv)
             rows.append(
                 {

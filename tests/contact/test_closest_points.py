@@ -90,10 +90,10 @@ def test_signed_distance_of_a_sphere(x64: None, radius: float) -> None:
     points *= (radius + distance)[:, None] / np.linalg.norm(points, axis=1, keepdims=True)
     found = closest_points(surface, points)
     # The faceted sphere lies up to 0.5 % of its radius inside the round one.
-    np.testing.assert_allclose(found.distance, distance, atol=6e-3 * radius)
+    np.testing.assert_allclose(found.height, distance, atol=6e-3 * radius)
     outward = np.asarray(found.position) / np.linalg.norm(np.asarray(found.position), axis=1, keepdims=True)
     assert np.einsum("pc,pc->p", outward, np.asarray(found.normal)).min() > 0.999
-    assert (np.sign(found.distance) == np.sign(distance))[np.abs(distance) > 6e-3 * radius].all()
+    assert (np.sign(found.height) == np.sign(distance))[np.abs(distance) > 6e-3 * radius].all()
 
 
 def test_following_reaches_the_closest_face(x64: None) -> None:
@@ -164,7 +164,7 @@ def test_distance_has_the_normal_as_gradient(x64: None) -> None:
     face = closest_points(surface, np.asarray(points)).face
 
     def total(p: jax.Array) -> jax.Array:
-        return point_on_faces(surface, p, face).distance.sum()
+        return point_on_faces(surface, p, face).height.sum()
 
     gradient = np.asarray(jax.grad(total)(points))
     outward = np.asarray(points) / np.linalg.norm(np.asarray(points), axis=1, keepdims=True)

@@ -23,7 +23,7 @@ def test_tube_around_a_ball_comes_out_everywhere(ball):
     assert result.is_outside
     assert result.deepest == 0.0
     # Measured here again, on every sample.
-    distance, _, _ = ball.closest(sample_matrix(faces, len(vertices)) @ result.vertices)
+    distance = ball.closest(sample_matrix(faces, len(vertices)) @ result.vertices).distance
     assert distance.min() >= 0.0015
     # No vertex went much farther than the deepest sample and its clearance asked for.
     assert result.largest_move < 2.5 * (result.deepest_before + 0.002)
@@ -57,7 +57,7 @@ def test_what_it_tells_is_what_a_full_measurement_finds(ball):
     vertices[:, 0] += 0.01
     for rounds in (0, 1, 40):
         result = push_out(vertices, faces, ball, max_rounds=rounds)
-        distance, _, _ = ball.closest(sample_matrix(faces, len(vertices)) @ result.vertices)
+        distance = ball.closest(sample_matrix(faces, len(vertices)) @ result.vertices).distance
         assert result.inside == (distance < 0).mean()
         assert result.deepest == pytest.approx(max(0.0, -distance.min()), abs=1e-12)
         assert result.rounds <= rounds

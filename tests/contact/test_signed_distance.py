@@ -1,10 +1,16 @@
-"""Exact signed distance: against shapes with a formula, against brute force, signs at edges and corners."""
+"""Signed distance: against shapes with a formula, against libigl, on host and device."""
 
+import igl
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import trimesh
 
-from tryon_jax.contact.signed_distance import ClosedSurface, _parts
+from tryon_jax.body import load_body
+from tryon_jax.contact.closest_points import signed_distances
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.contact.surface import build_surface
 
 
 def test_box_has_its_analytic_distance_inside_outside_and_at_corners():
@@ -13,52 +19,79 @@ def test_box_has_its_analytic_distance_inside_outside_and_at_corners():
     points = np.random.default_rng(0).uniform(-2, 2, (400, 3))
     q = np.abs(points) - np.array([1.0, 0.5, 0.3])
     expected = np.linalg.norm(np.maximum(q, 0), axis=1) + np.minimum(q.max(axis=1), 0)
-    distance, closest, away = surface.closest(points)
-    np.testing.assert_allclose(distance, expected, atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(points - closest, axis=1), np.abs(expected), atol=1e-9)
+    found = surface.closest(points)
+    np.testing.assert_allclose(found.distance, expected, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(points - found.position, axis=1), np.abs(expected), atol=1e-9)
     # Going along `away` increases the distance at unit rate.
-    ahead, _, _ = surface.closest(points + 1e-6 * away)
-    np.testing.assert_allclose(ahead - distance, 1e-6, atol=1e-9)
+    ahead = surface.closest(points + 1e-6 * found.away)
+    np.testing.assert_allclose(ahead.distance - found.distance, 1e-6, atol=1e-9)
 
 
-def test_equals_brute_force_on_an_uneven_mesh():
-    mesh = trimesh.creation.icosphere(subdivisions=2)
-    vertices = mesh.vertices * [1.0, 0.3, 0.1] + 0.05 * np.sin(9 * mesh.vertices[:, [1, 2, 0]])
-    surface = ClosedSurface(vertices, mesh.faces)
-    points = np.random.default_rng(1).uniform(-1.2, 1.2, (200, 3)) * [1, 0.6, 0.4]
-    distance, _, _ = surface.closest(points)
-    corners, count = vertices[mesh.faces], len(mesh.faces)
-    # Every pair, by another implementation.
-    found = trimesh.triangles.closest_point(np.tile(corners, (200, 1, 1)), np.repeat(points, count, axis=0))
-    offset = np.linalg.norm(found.reshape(200, count, 3) - points[:, None], axis=2)
-    np.testing.assert_allclose(np.abs(distance), offset.min(axis=1), atol=1e-12)
-    near, _, _ = surface.closest(points, exact_below=0.05)
-    close = np.abs(distance) < 0.05
-    np.testing.assert_allclose(near[close], distance[close], atol=1e-12)
+@pytest.fixture(scope="module")
+def bodies() -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """An uneven blob with sharp valleys, and a person."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    blob = ball.vertices * [1.0, 0.3, 0.1] + 0.05 * np.sin(9 * ball.vertices[:, [1, 2, 0]])
+    body = load_body()
+    return {
+        "blob": (blob, np.asarray(ball.faces)),
+        "person": (np.asarray(body.v_template, np.float64), np.asarray(body.faces, np.int64)),
+    }
 
 
-def test_parts_tile_each_triangle():
-    corners = np.array(
-        [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [5, 0, 0], [0, 4, 0]], [[0, 0, 1], [1, 0, 1], [0, 1, 1]]]
+def points_around(vertices: np.ndarray, count: int = 600) -> np.ndarray:
+    """A third anywhere around, a third near the surface, a third near its vertices."""
+    rng = np.random.default_rng(1)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    anywhere = rng.uniform(low - 0.1 * (high - low), high + 0.1 * (high - low), (count, 3))
+    at = vertices[rng.choice(len(vertices), 2 * count)]
+    return np.concatenate([anywhere, at[:count] + rng.normal(0, 1e-2, (count, 3)), at[count:] + 1e-4])
+
+
+@pytest.mark.parametrize("name", ["blob", "person"])
+def test_equals_libigl(bodies, name):
+    """Another implementation of the same definition."""
+    vertices, faces = bodies[name]
+    points = points_around(vertices)
+    expected, _, position, _ = igl.signed_distance(
+        points, vertices, faces, sign_type=igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
     )
-    centres, owner, reach = _parts(corners.astype(float))
-    np.testing.assert_array_equal(np.unique(owner, return_counts=True), [[0, 1, 2], [1, 25, 1]])
-    # Centres of equal parts average to the centre of the whole, and no point of it is farther than `reach` from one.
-    large = centres[owner == 1]
-    np.testing.assert_allclose(large.mean(axis=0), [5 / 3, 4 / 3, 0], atol=1e-12)
-    points = np.random.default_rng(0).dirichlet(np.ones(3), 2000) @ corners[1]
-    farthest = np.linalg.norm(points[:, None] - large, axis=2).min(axis=1).max()
-    assert 0.5 * reach < farthest <= reach
+    found = ClosedSurface(vertices, faces).closest(points)
+    np.testing.assert_allclose(found.distance, expected, atol=1e-9)
+    # Two points of the surface may be equally close.
+    same = np.linalg.norm(found.position - position, axis=1) < 1e-6
+    assert same.mean() > 0.99
+    limited = ClosedSurface(vertices, faces).closest(points, exact_below=0.02).distance
+    near = np.abs(expected) < 0.02
+    assert near.sum() > 100
+    np.testing.assert_allclose(limited[near], expected[near], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["blob", "person"])
+def test_the_device_has_the_same_definition(bodies, name, x64):
+    """Where both find the same face, distance and sign are equal; gradients are the unit direction away."""
+    vertices, faces = bodies[name]
+    points = points_around(vertices)
+    found = ClosedSurface(vertices, faces).closest(points)
+    surface = build_surface(vertices, faces)
+
+    def distances(x):
+        return signed_distances(surface, x, jnp.asarray(found.face))
+
+    np.testing.assert_allclose(distances(jnp.asarray(points)), found.distance, atol=1e-9)
+    gradient = jax.grad(lambda x: distances(x).sum())(jnp.asarray(points))
+    clear = np.abs(found.distance) > 1e-5
+    np.testing.assert_allclose(np.asarray(gradient)[clear], found.away[clear], atol=1e-4)
 
 
 def test_direction_on_the_surface_itself_is_outward():
     box = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
-    distance, _, away = ClosedSurface(box.vertices, box.faces).closest(np.array([[0.5, 0.1, 0.2], [0.5, 0.5, 0.0]]))
-    np.testing.assert_allclose(distance, 0.0, atol=1e-12)
-    np.testing.assert_allclose(away, [[1, 0, 0], [0.5**0.5, 0.5**0.5, 0]], atol=1e-9)
+    found = ClosedSurface(box.vertices, box.faces).closest(np.array([[0.5, 0.1, 0.2], [0.5, 0.5, 0.0]]))
+    np.testing.assert_allclose(found.distance, 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.away, [[1, 0, 0], [0.5**0.5, 0.5**0.5, 0]], atol=1e-9)
 
 
 def test_open_mesh_is_refused():
     box = trimesh.creation.box()
-    with pytest.raises(ValueError, match="3 edges have not two faces"):
+    with pytest.raises(ValueError, match="but 3 edges do not have two"):
         ClosedSurface(box.vertices, box.faces[1:])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from tryon_jax.files.export import CLOTH, SKIN, mesh_part, vertex_normals, write_mesh
+from tryon_jax.files.export import CLOTH, SKIN, mesh_part, write_mesh
+from tryon_jax.mesh.normals import vertex_normals
 
 # Two unit squares side by side in space, folded along x = 1, cut apart along that fold in the pattern.
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [1, 0, -1], [1, 1, -1]], np.float32)
@@ -106,12 +107,6 @@ def test_device_arrays_are_accepted():
     assert isinstance(part.vertices, np.ndarray)
 
 
-def test_normals_of_a_sphere_point_outwards():
-    sphere = trimesh.creation.icosphere(subdivisions=3)
-    normals = vertex_normals(np.asarray(sphere.vertices), np.asarray(sphere.faces))
-    np.testing.assert_allclose(normals, sphere.vertices, atol=0.02)
-
-
 def test_unknown_suffix_names_the_formats(parts, tmp_path):
     with pytest.raises(ValueError, match=r"suffix '\.fbx' is none of \.glb, \.obj, \.ply, \.npz"):
         write_mesh(tmp_path / "a.fbx", parts)
@@ -136,3 +131,10 @@ def test_bad_arrays_are_named(change, message):
 def test_two_parts_of_one_name_are_refused(parts, tmp_path):
     with pytest.raises(ValueError, match="distinct names"):
         write_mesh(tmp_path / "a.glb", [parts[0], parts[0]])
+
+
+def test_a_vertex_without_a_face_still_has_a_unit_normal(tmp_path):
+    points = np.concatenate([VERTICES, [[9.0, 9.0, 9.0]]])
+    write_mesh(tmp_path / "a.obj", [mesh_part("garment", points, FACES)])
+    normals = [line for line in (tmp_path / "a.obj").read_text().splitlines() if line.startswith("vn ")]
+    assert normals[-1] == "vn 0.0000 1.0000 0.0000"

@@ -65,7 +65,7 @@ def test_a_flat_sheet_carries_pressure_times_area(x64: None) -> None:
     gradient = np.asarray(normal_gradient(contact, cloth))
     np.testing.assert_allclose(-gradient.sum(axis=0), [0, expected, 0], atol=1e-9)
     assert float(contact.load.sum()) == pytest.approx(expected)
-    np.testing.assert_allclose(contact.point.distance[: len(uv)], 0.003, atol=1e-12)
+    np.testing.assert_allclose(contact.point.height[: len(uv)], 0.003, atol=1e-12)
     # Above the thickness there is nothing.
     _, _, _, _, nothing, _ = resting(0.0041)
     assert not np.asarray(nothing.force).any()
@@ -111,8 +111,8 @@ def test_a_face_whose_vertices_are_outside_is_held_off_by_its_centre(x64: None) 
     cloth = make_cloth(np.array([[0, 1, 2]]), uv)
     x = place(np.stack([uv[:, 0], np.full(3, 0.049), -uv[:, 1]], axis=1), cloth)
     contact = contact_at(x, start(x, cloth, surface).face, cloth, make_fabric(), surface, LAW, 0.0)
-    assert (np.asarray(contact.point.distance)[:3] > 0.01).all()
-    assert float(contact.point.distance[64]) < 0
+    assert (np.asarray(contact.point.height)[:3] > 0.01).all()
+    assert float(contact.point.height[64]) < 0
     gradient = np.asarray(normal_gradient(contact, cloth))[:3]
     assert (gradient[:, 1] < -1e-3).all()
 

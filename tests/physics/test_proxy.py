@@ -62,7 +62,7 @@ def test_mittens_cover_the_hands(obstacle: Obstacle) -> None:
     for betas in (SHAPES[0], SHAPES[1], SHAPES[4]):
         surface, skin = obstacle.surface(np.array(betas)), obstacle.skin(np.array(betas))
         for mitten in obstacle.collision.mittens:
-            distance = np.asarray(closest_points(surface, skin[mitten.hand]).distance)
+            distance = np.asarray(closest_points(surface, skin[mitten.hand]).height)
             assert (distance < 0).mean() > 0.8
             assert np.percentile(distance, 95) < 0.008
             assert distance.max() < 0.025

@@ -7,7 +7,7 @@ import pytest
 
 from tests.experiments.tiny_garments import AREA, FABRIC, stretched, tiny_model
 from tryon_jax.garment import load_manifest, remesh
-from tryon_jax.graph.pooling import closest_on_triangles
+from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.training.carried import FIRST_SEED, carry_over, fresh_topologies
 from tryon_jax.training.dataset import mesh_path, save_arrays
 from tryon_jax.training.garments import training_shapes
@@ -53,8 +53,7 @@ def test_carried_vertices_lie_on_the_simulated_surface(carried, samples, source_
     for k in (0, len(rows) - 1):
         surface = samples.drapes[FABRIC][rows[k], :old].astype(float)
         points = carried.drapes[FABRIC][k, :count].astype(float)
-        face, weights = closest_on_triangles(points, surface, source_mesh.faces)
-        nearest = np.einsum("nk,nkc->nc", weights, surface[source_mesh.faces[face]])
+        nearest = MeshSearch(surface, source_mesh.faces).closest(points).position
         np.testing.assert_allclose(points, nearest, atol=1e-6)
     assert not carried.drapes[FABRIC][:, count:].any()
 

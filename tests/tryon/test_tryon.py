@@ -92,7 +92,7 @@ def test_penetration_report_against_exact_distances(model, garment):
     for k, shape in enumerate(betas):
         distance = np.asarray(report.distance[k, :real])
         skin = ClosedSurface(np.asarray(shape_body(model.body, shape)[0]), np.asarray(model.body.faces))
-        exact = skin.closest(garment.mean_vertices.astype(float))[0]
+        exact = skin.closest(garment.mean_vertices.astype(float)).distance
         near = np.abs(exact) < 0.02
         assert near.sum() > 40
         assert (np.abs(distance - exact)[near] < 2e-5).mean() > 0.97

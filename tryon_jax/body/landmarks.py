@@ -7,6 +7,7 @@ skin tilts with the shape by up to 5 cm, a tape does not. Levels follow ISO 8559
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from tryon_jax.body.embedded import NAMES, NUM_VERTICES, read_asset
-from tryon_jax.body.slices import Outline, girth_of, outline_around, slice_mesh
+from tryon_jax.mesh.plane_cut import cut_mesh, plane_axes, tape_length
 from tryon_jax.mesh.topology import unique_edges
 from tryon_jax.types import ArrayLike, Body, pytree
 
@@ -104,7 +105,18 @@ def find_landmarks(body: Body) -> Landmarks:
     )
 
 
-def _mean_of(outline: Outline) -> tuple[np.ndarray, np.ndarray]:
+class _Outline(NamedTuple):
+    """One closed curve round a limb, as points on mesh edges in no particular order."""
+
+    edges: Int[np.ndarray, "N 2"]
+    """Vertices at the ends of the cut edges."""
+    fraction: Float[np.ndarray, " N"]
+    """Where each edge is cut: 0 at its first end, 1 at its second."""
+    points: Float[np.ndarray, "N 3"]
+    """The cut points, metres."""
+
+
+def _mean_of(outline: _Outline) -> tuple[np.ndarray, np.ndarray]:
     """Vertices and weights whose sum is the mean of a loop's points."""
     share = np.stack([1 - outline.fraction, outline.fraction], axis=1) / len(outline.points)
     index, place = np.unique(outline.edges, return_inverse=True)
@@ -139,25 +151,39 @@ class _Mesh:
     def level(self, fraction: float) -> float:
         return self.hip + fraction * self.reach
 
-    def around(self, name: str, point: np.ndarray, across: np.ndarray) -> Outline:
-        outline = outline_around(slice_mesh(self.vertices, self.faces, point, across), point, across)
-        if outline is None:
+    def around(self, name: str, point: np.ndarray, across: np.ndarray) -> _Outline:
+        """The largest of the curves across a limb whose bounding box in their plane holds `point`."""
+        axes = plane_axes(across)
+        centre = axes @ point
+        found = []
+        for outline in self.outlines(point, across):
+            flat = outline.points @ axes.T
+            if len(flat) > 3 and (flat.min(axis=0) < centre).all() and (flat.max(axis=0) > centre).all():
+                found.append(outline)
+        if not found:
             raise ValueError(f"body {self.name!r}: no closed curve around the {name} landmark at {point.round(3)}")
-        return outline
+        return max(found, key=lambda outline: tape_length(outline.points, across))
 
-    def horizontal(self, height: float) -> Outline:
+    def outlines(self, point: np.ndarray, across: np.ndarray) -> list[_Outline]:
+        curves = cut_mesh(self.vertices, self.faces, point, across)
+        corners = self.vertices[self.faces]
+        return [
+            _Outline(c.edges(self.faces).reshape(-1, 2), c.fractions.ravel(), c.at(corners).reshape(-1, 3))
+            for c in curves
+        ]
+
+    def horizontal(self, height: float) -> _Outline:
         spine = np.array([0.0, height, 0.5 * (self.joint("neck")[2] + self.joint("pelvis")[2])])
         return self.around("torso", spine, UP)
 
-    def extreme_level(self, low: float, high: float, sign: int) -> Outline:
+    def extreme_level(self, low: float, high: float, sign: int) -> _Outline:
         # 5 mm steps are finer than a tape is placed; slices below the crotch go around single legs and are left out.
         found = []
         for height in np.arange(self.level(low), self.level(high), 0.005):
-            outlines = slice_mesh(self.vertices, self.faces, np.array([0, height, 0]), UP)
-            for outline in outlines:
+            for outline in self.outlines(np.array([0, height, 0]), UP):
                 x = outline.points[:, 0]
                 if x.min() < -0.05 and x.max() > 0.05:
-                    found.append((sign * girth_of(outline.points, UP), len(found), outline))
+                    found.append((sign * tape_length(outline.points, UP), len(found), outline))
         if not found:
             raise ValueError(f"body {self.name!r}: no torso between {self.level(low):.3f} and {self.level(high):.3f} m")
         return max(found)[2]
@@ -170,11 +196,11 @@ class _Mesh:
             return self.level(0.5 * (low + high))
         return float(y[band][np.argmax(self.vertices[band, 2])])
 
-    def thinnest_neck(self) -> tuple[Outline, np.ndarray]:
+    def thinnest_neck(self) -> tuple[_Outline, np.ndarray]:
         start, end = self.joint("neck"), self.joint("head")
         along = (end - start) / np.linalg.norm(end - start)
         outlines = [self.around("neck", start + t * (end - start), along) for t in np.linspace(0, 1, 25)]
-        return min(outlines, key=lambda outline: girth_of(outline.points, along)), along
+        return min(outlines, key=lambda outline: tape_length(outline.points, along)), along
 
     def surface_point(self, name: str, start: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the ray from `start`, inside a limb, along `direction` first meets the skin."""
@@ -194,7 +220,7 @@ class _Mesh:
         face = int(np.argmin(np.where(hit, distance, np.inf)))
         return self.faces[face], np.array([1 - u[face] - v[face], u[face], v[face]])
 
-    def band(self, name: str, outline: Outline, across: np.ndarray) -> np.ndarray:
+    def band(self, name: str, outline: _Outline, across: np.ndarray) -> np.ndarray:
         """Edges within reach of a loop, without those of the arms where the loop is around the trunk."""
         height = (self.vertices - outline.points.mean(axis=0)) @ across
         allowed = np.abs(height) < _REACH[name]
@@ -208,7 +234,7 @@ class _Mesh:
         return edges[np.isin(label[edges[:, 0]], label[outline.edges.ravel()])]
 
     def crotch(self) -> tuple[np.ndarray, np.ndarray]:
-        middle = slice_mesh(self.vertices, self.faces, np.zeros(3), np.array([1.0, 0.0, 0.0]))
+        middle = self.outlines(np.zeros(3), np.array([1.0, 0.0, 0.0]))
         trunk = max(middle, key=lambda outline: np.ptp(outline.points[:, 1]))
         lowest = int(np.argmin(trunk.points[:, 1]))
         a, b = trunk.edges[lowest]

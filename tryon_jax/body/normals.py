@@ -31,3 +31,19 @@ def vertex_normals(vertices: Float[ArrayLike, "V 3"], faces: Int[ArrayLike, "F 3
     for corner in range(3):
         total = total.at[faces[:, corner]].add(weighted)
     return _unit(total)
+
+
+def angle_weighted_normals(vertices: Float[ArrayLike, "V 3"], faces: Int[ArrayLike, "F 3"]) -> Float[Array, "V 3"]:
+    """Sum at each vertex of its faces' unit normals times their angles there, not of unit length.
+
+    Unlike the area-weighted mean it points outward from every point that is closest to the vertex.
+    """
+    faces = jnp.asarray(faces)
+    corners = jnp.asarray(vertices)[faces]
+    normal = face_normals(vertices, faces)
+    total = jnp.zeros_like(jnp.asarray(vertices))
+    for corner in range(3):
+        first, second = (_unit(corners[:, (corner + k) % 3] - corners[:, corner]) for k in (1, 2))
+        angle = jnp.arccos(jnp.clip((first * second).sum(-1, keepdims=True), -1.0, 1.0))
+        total = total.at[faces[:, corner]].add(angle * normal)
+    return total

@@ -1,14 +1,19 @@
-"""Where a point is relative to a surface: closest point on its triangles and signed distance, jittable.
+"""Where a point is relative to a surface, on the device: closest points and signed distances, jittable.
 
 A first face for each point is found among those around the nearest vertex. The closest point is then followed from
 face to face, which is exact as long as points move by less than the local feature size between two calls.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from tryon_jax.body.normals import angle_weighted_normals, face_normals
 from tryon_jax.contact.surface import Surface, nearest_vertices
 from tryon_jax.types import EXACT, ArrayLike, pytree
+
+# Barycentric weights below this are zero in single precision: the closest point is on an edge or a vertex.
+_ZERO = 1e-6
 
 
 @pytree
@@ -18,8 +23,9 @@ class SurfacePoint:
     position: Float[Array, "P 3"]
     normal: Float[Array, "P 3"]
     """Unit normal interpolated from the vertices."""
-    distance: Float[Array, " P"]
-    """Signed distance along the normal, metres; negative inside."""
+    height: Float[Array, " P"]
+    """Offset from the closest point along `normal`, metres; negative inside. What contact forces act on; beside an edge
+    or a corner it is shorter than the distance, which `signed_distances` gives."""
     face: Int[Array, " P"]
     barycentric: Float[Array, "P 3"]
 
@@ -61,7 +67,7 @@ def closest_faces(surface: Surface, points: Float[Array, "P 3"], vertex: Int[Arr
         jnp.broadcast_to(p, corners.shape[:2] + (3,)), corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
     )
     distance = ((p - jnp.einsum("prk,prkc->prc", weights, corners, precision=EXACT)) ** 2).sum(-1)
-    return jnp.take_along_axis(ring, jnp.argmin(distance, axis=1)[:, None], axis=1)[:, 0]
+    return _take(ring, jnp.argmin(distance, axis=1))
 
 
 def follow_faces(
@@ -80,9 +86,7 @@ def follow_faces(
     weights, distance = project(face)
     for _ in range(hops):
         # The smallest barycentric coordinate is opposite to the edge to cross.
-        candidate = jnp.take_along_axis(surface.adjacent_faces[face], jnp.argmin(weights, axis=1)[:, None], axis=1)[
-            :, 0
-        ]
+        candidate = _take(surface.adjacent_faces[face], jnp.argmin(weights, axis=1))
         new_weights, new_distance = project(candidate)
         nearer = new_distance < distance
         face = jnp.where(nearer, candidate, face)
@@ -92,7 +96,7 @@ def follow_faces(
 
 
 def point_on_faces(surface: Surface, points: Float[Array, "P 3"], face: Int[Array, " P"]) -> SurfacePoint:
-    """Closest point of each point on its given face, with the signed distance along the interpolated normal."""
+    """Closest point of each point on its given face, with the height along the interpolated normal."""
     index = surface.faces[face]
     corners, normals = surface.vertices[index], surface.normals[index]
     weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])
@@ -102,10 +106,40 @@ def point_on_faces(surface: Surface, points: Float[Array, "P 3"], face: Int[Arra
     return SurfacePoint(position, normal, _dot(points - position, normal), face, weights)
 
 
+def signed_distances(surface: Surface, points: Float[Array, "P 3"], face: Int[Array, " P"]) -> Float[Array, " P"]:
+    """Distance of each point from its given face, metres, negative inside; `face` is where its closest point lies.
+
+    The definition of `contact.signed_distance`, on the device: the sign is that of the angle-weighted pseudonormal.
+    Differentiable in the points and the surface.
+    """
+    corners = surface.vertices[surface.faces[face]]
+    weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])
+    offset = points - jnp.einsum("pk,pkc->pc", weights, corners, precision=EXACT)
+    side = jax.lax.stop_gradient(_dot(offset, _pseudonormals(surface, face, weights)))
+    # Where the offset is zero its length has no gradient; a hundred picometres give it one.
+    length = jnp.sqrt(_dot(offset, offset) + 1e-20)
+    return jnp.where(side < 0, -length, length)
+
+
+def _pseudonormals(surface: Surface, face: Int[Array, " P"], weights: Float[Array, "P 3"]) -> Float[Array, "P 3"]:
+    """Of the face, of both faces of an edge, or of all faces of a vertex weighted by angle; not of unit length."""
+    zero = weights < _ZERO
+    own = face_normals(surface.vertices, surface.faces)
+    at_edge = own[face] + own[_take(surface.adjacent_faces[face], jnp.argmin(weights, axis=1))]
+    corner = _take(surface.faces[face], jnp.argmax(weights, axis=1))
+    at_vertex = angle_weighted_normals(surface.vertices, surface.faces)[corner]
+    count = zero.sum(axis=1)[:, None]
+    return jnp.where(count == 0, own[face], jnp.where(count == 1, at_edge, at_vertex))
+
+
 def closest_points(surface: Surface, points: Float[ArrayLike, "P 3"]) -> SurfacePoint:
-    """Closest points and signed distances of any points, found among all vertices and refined on the faces."""
+    """Closest points of any points, found among all vertices and refined on the faces around the nearest one."""
     at = jnp.asarray(points)
     return point_on_faces(surface, at, closest_faces(surface, at, nearest_vertices(surface, points)))
+
+
+def _take(rows: Int[Array, "P K"], column: Int[Array, " P"]) -> Int[Array, " P"]:
+    return jnp.take_along_axis(rows, column[:, None], axis=1)[:, 0]
 
 
 def _dot(a: Float[Array, "*B 3"], b: Float[Array, "*B 3"]) -> Float[Array, "*B"]:

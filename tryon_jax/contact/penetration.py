@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.body.shape import shape_body
-from tryon_jax.contact.closest_points import closest_faces, follow_faces, point_on_faces
+from tryon_jax.contact.closest_points import closest_faces, follow_faces, signed_distances
 from tryon_jax.contact.collision_loss import VertexNeighbours, closest_vertices, list_neighbours
 from tryon_jax.contact.surface import Surface, build_surface, move_surface
 from tryon_jax.types import ArrayLike, Body, pytree
@@ -72,10 +72,7 @@ def report_penetration(
         skin = move_surface(contact.surface, shape_body(body, shape)[0])
         nearest, rested = closest_vertices(contact.neighbours, jnp.asarray(skin.vertices), points, start)
         face = follow_faces(skin, points, closest_faces(skin, points, nearest), hops=4)
-        on = point_on_faces(skin, points, face)
-        # Along the interpolated normal the distance is a little short where the closest point is on an edge.
-        length = jnp.sqrt(((points - on.position) ** 2).sum(-1) + 1e-20)
-        distance = jnp.where(real, jnp.where(on.distance < 0, -length, length), 0.0)
+        distance = jnp.where(real, signed_distances(skin, points, face), 0.0)
         return PenetrationReport(
             distance,
             (distance < 0).sum() / count,

@@ -87,7 +87,8 @@ def push_out(
     # Aim a little farther: the body is not flat, so the linearised step falls short.
     aim = clearance + 1e-4
     reach = aim + _NEAR
-    distance, _, away = body.closest(at, exact_below=reach)
+    found = body.closest(at, exact_below=reach)
+    distance, away = found.distance, found.away
     before = distance.copy()
     rounds = 0
     while rounds < max_rounds and (distance < clearance).any():
@@ -97,7 +98,8 @@ def push_out(
         moved = samples @ points
         # Few samples move, and what has not moved is as far from the body as before.
         stale = np.flatnonzero((moved != at).any(axis=1))
-        distance[stale], _, away[stale] = body.closest(moved[stale], exact_below=reach)
+        found = body.closest(moved[stale], exact_below=reach)
+        distance[stale], away[stale] = found.distance, found.away
         at = moved
     return PushedOut(
         vertices=points,

@@ -19,6 +19,7 @@ from trimesh.visual.texture import TextureVisuals
 
 from tryon_jax.checks import check_finite
 from tryon_jax.files.atomic import atomic_path, write_bytes, write_text
+from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.types import ArrayLike
 
 
@@ -99,13 +100,11 @@ def _indices(name: str, indices: np.ndarray, count: int) -> np.ndarray:
     return indices.astype(np.int32)
 
 
-def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
-    """Unit normals as the area-weighted mean over the faces at each vertex; +y where a vertex has no face."""
-    a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
-    cross = np.cross(b - a, c - a)
-    total = np.stack([np.bincount(faces.ravel(), np.repeat(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.where(length > 0, total / np.where(length > 0, length, 1), [0.0, 1.0, 0.0]).astype(np.float32)
+def _normals(part: Part) -> Float[np.ndarray, "V 3"]:
+    """Unit normals; +y at vertices without a face, since the formats allow no zero."""
+    normals = vertex_normals(part.vertices, part.faces).astype(np.float32)
+    normals[~normals.any(axis=1)] = (0.0, 1.0, 0.0)
+    return normals
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ class _Split:
 
 def _split_at_seams(part: Part) -> _Split:
     """Double the vertices that have several texture coordinates; normals are taken before, across the seams."""
-    normals = vertex_normals(part.vertices, part.faces)
+    normals = _normals(part)
     if part.uv is None or part.faces_uv is None:
         return _Split(part.vertices, normals, part.faces, None, part.colors)
     keys = part.faces.astype(np.int64) * len(part.uv) + part.faces_uv
@@ -180,7 +179,7 @@ def write_obj(path: str | Path, parts: Sequence[Part]) -> None:
         lines += [f"o {part.name}", f"usemtl {part.name}"]
         points = part.vertices if part.colors is None else np.concatenate([part.vertices, part.colors], axis=1)
         lines += [f"v {' '.join(f'{x:.6f}' for x in row)}" for row in points.tolist()]
-        normals = vertex_normals(part.vertices, part.faces)
+        normals = _normals(part)
         lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in normals.tolist()]
         corner = (part.faces + first_vertex).tolist()
         if part.uv is None or part.faces_uv is None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tryon_jax.graph.coarsen import coarsen
-from tryon_jax.graph.pooling import closest_on_triangles
+from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.topology import border_mask, directed_edges, edge_keys, unique_edges
 
 _FINER = 0.55
@@ -50,8 +50,9 @@ def resample(
     count = round(0.5 * (total / target_area + outline) + euler)
     coarse = coarsen(fine, fine_faces, min(max(count, 3), len(fine)), length_weight=_EVEN)
     points, triangles = fine[coarse.kept], coarse.faces
+    surface = MeshSearch(vertices, faces)
     for _ in range(even_steps):
-        points = _even_out(points, triangles, vertices, np.asarray(faces, np.int64))
+        points = _even_out(points, triangles, surface)
     return points, triangles
 
 
@@ -108,16 +109,14 @@ def _split_faces(faces: np.ndarray, middle: np.ndarray, points: np.ndarray) -> n
     return np.concatenate(parts)
 
 
-def _even_out(points: np.ndarray, triangles: np.ndarray, surface: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _even_out(points: np.ndarray, triangles: np.ndarray, surface: MeshSearch) -> np.ndarray:
     """Move inner vertices half way to the mean of their neighbours, along the surface, unless a triangle would flip."""
     count = len(points)
     edges, _ = unique_edges(triangles, count)
     row, column = np.concatenate([edges[:, 0], edges[:, 1]]), np.concatenate([edges[:, 1], edges[:, 0]])
     degree = np.maximum(np.bincount(row, minlength=count), 1)
     mean = np.stack([np.bincount(row, points[column, i], minlength=count) / degree for i in range(3)], axis=1)
-    wanted = points + 0.5 * (mean - points)
-    face, weights = closest_on_triangles(wanted, surface, faces)
-    wanted = np.einsum("nk,nkc->nc", weights, surface[faces[face]])
+    wanted = surface.closest(points + 0.5 * (mean - points)).position
     border = border_mask(triangles, count)
     moved = np.where(border[:, None], points, wanted)
     before, after = (np.cross(p[triangles[:, 1]] - p[triangles[:, 0]], p[triangles[:, 2]] - p[triangles[:, 0]])

@@ -79,7 +79,7 @@ def body_contact(
     # Vertices and face centres share the area evenly: both must be held off, neither counts double.
     areas = 0.5 * jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     thickness = jnp.asarray(fabric.thickness, x.dtype)
-    approach = thickness - point.distance
+    approach = thickness - point.height
     value, _ = pressure(approach, thickness, law)
     _, slope = pressure(approach + jnp.where(approach > 0, margin, 0.0), thickness, law)
     force = areas * value

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.contact.closest_points import closest_point_on_triangle
 from tryon_jax.mesh.topology import unique_edges
+from tryon_jax.mesh.triangles import Triangles
 from tryon_jax.physics.body_contact import ContactLaw, pressure
 from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 
@@ -82,7 +83,8 @@ def find_pairs(
     vertex, face = vertex[keep], face[keep]
 
     a, b, c = (corners[face, k] for k in range(3))
-    weights = np.asarray(closest_point_on_triangle(*map(jnp.asarray, (points[vertex], a, b, c))), float)
+    _, v, w = Triangles(corners).closest(points[vertex], face[:, None])
+    weights = np.concatenate([1 - v - w, v, w], axis=1)
     offset = points[vertex] - np.einsum("pk,pkc->pc", weights, corners[face])
     distance = np.linalg.norm(offset, axis=1)
     inside = distance < settings.reach

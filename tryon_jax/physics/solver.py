@@ -217,7 +217,7 @@ def step(
     report = StepReport(
         residual=jnp.linalg.norm(system.gradient * free) / scale,
         move=jnp.sqrt((move * move * cloth.active[:, None]).sum() / cloth.active.sum()),
-        depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.distance, -1.0)),
+        depth=jnp.max(jnp.where(shape_weight > 0, -contact.point.height, -1.0)),
         steps=jnp.ones((), jnp.int32),
         iterations=iterations,
     )

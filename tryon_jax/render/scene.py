@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from tryon_jax.files.export import vertex_normals
+from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.mesh.topology import border_edges
 from tryon_jax.render.light import sky_light
 

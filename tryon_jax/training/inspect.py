@@ -5,9 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from tryon_jax.contact.closest_points import closest_faces, point_on_faces
-from tryon_jax.contact.skin import FACE_SAMPLES, extremity_vertices
-from tryon_jax.contact.surface import Surface, build_surface, move_surface, nearest_vertices
+from tryon_jax.contact.skin import Skin
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.dressing import Drape, Obstacle
@@ -15,8 +13,6 @@ from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.stretch import deformation_gradients, green_strain, principal_stretches, stress
 
 _stretches = jax.jit(principal_stretches)
-_move = jax.jit(move_surface)
-_signed = jax.jit(lambda surface, p, vertex: point_on_faces(surface, p, closest_faces(surface, p, vertex)))
 
 
 def principal_tension(x: Float[np.ndarray, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[np.ndarray, " F"]:
@@ -32,25 +28,20 @@ def _tension(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Arra
 
 
 class Inspector:
-    """Measures drapes of one body; holds the skin's topology."""
+    """Measures drapes of one body."""
 
     def __init__(self, obstacle: Obstacle) -> None:
         self.obstacle = obstacle
-        body = obstacle.body
-        self._surface: Surface = build_surface(np.asarray(body.v_template), np.asarray(body.faces))
-        self._extremity = extremity_vertices(body)
 
     def penetration(self, drape: Drape, faces: Int[np.ndarray, "F 3"]) -> tuple[float, float]:
-        """Depth of the deepest sample below the skin (metres, negative when all are outside) and the share inside."""
-        skin = self.obstacle.skin(drape.betas)
-        surface = _move(self._surface, jnp.asarray(skin))
-        x = drape.vertices
-        points = np.concatenate([x, np.einsum("sk,fkc->fsc", FACE_SAMPLES, x[faces]).reshape(-1, 3)])
-        points = points.astype(np.float32)
-        vertex = nearest_vertices(surface, points)
-        distance = np.asarray(_signed(surface, points, vertex).distance)
-        distance = distance[~self._extremity[vertex]]
-        return float(-distance.min()), float((distance < 0).mean())
+        """Depth of the deepest sample below the skin (metres, negative when all are outside) and the share inside.
+
+        Both are NaN for a drape that is not finite.
+        """
+        if not np.isfinite(drape.vertices).all():
+            return float("nan"), float("nan")
+        found = Skin(self.obstacle.body, self.obstacle.skin(drape.betas)).penetration(drape.vertices, faces)
+        return -found.closest, found.surface
 
     def statistics(self, drape: Drape, faces: Int[np.ndarray, "F 3"], cloth: Cloth, fabric: Fabric) -> dict[str, float]:
         """The entries of `dataset.STATISTICS` for one drape."""

@@ -13,9 +13,9 @@ from tryon_jax.checks import check_finite
 from tryon_jax.garment import Design, DesignSpace, GarmentMesh, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import build_graph, pad_rows
-from tryon_jax.graph.pooling import closest_on_triangles
 from tryon_jax.graph.resample import resample
 from tryon_jax.graph.smoothing import make_smoother
+from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon.garment import Garment, OwnMesh
@@ -140,13 +140,13 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
     if known:
         return Garment(graph, smoother)
-    face, weights = closest_on_triangles(vertices, points, triangles)
+    found = MeshSearch(points, triangles).closest(vertices)
     size = bucket_size(len(vertices))
     own = OwnMesh(
         vertices=pad_rows(vertices, size, np.float32),
         faces=pad_rows(faces, max(2 * size, len(faces)), np.int32),
-        carriers=pad_rows(triangles[face], size, np.int32),
-        weights=pad_rows(weights, size, np.float32),
+        carriers=pad_rows(triangles[found.face], size, np.int32),
+        weights=pad_rows(found.weights, size, np.float32),
         num_vertices=np.asarray(len(vertices), np.int32),
     )
     return Garment(graph, smoother, own=own)

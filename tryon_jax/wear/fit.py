@@ -8,12 +8,11 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from tryon_jax.body.landmarks import GIRTHS, Landmarks
 from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.mesh.plane_cut import Curve, cut_mesh, plane_axes
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.stretch import MAX_TENSION, tension_along
 from tryon_jax.types import ArrayLike
@@ -149,7 +148,7 @@ def measure_fit(
         garment_girth=cloth,
         girth_stretch=stretch,
         pull={} if fabric is None else _pulls(tapes, fabric),
-        clearance=surface.closest(points, exact_below=_EXACT)[0],
+        clearance=surface.closest(points, exact_below=_EXACT).distance,
         tension=total / np.maximum(count, 1),
     )
 
@@ -162,27 +161,6 @@ def tape_place(
     loop = body_vertices[np.asarray(landmarks.loop_index)[row]]
     middle = np.asarray(landmarks.loop_weight)[row].astype(np.float64) @ loop
     return middle, np.asarray(landmarks.normal)[row].astype(np.float64)
-
-
-@dataclass(frozen=True)
-class Loop:
-    """A closed curve on a mesh, made of one segment in each face that it crosses."""
-
-    faces: Int[np.ndarray, " S"]
-    corners: Int[np.ndarray, "S 2"]
-    """Each end lies on the edge of the face from this corner to the next."""
-    fractions: Float[np.ndarray, "S 2"]
-    """And this far along it, 0 … 1."""
-
-    def at(self, values: Float[np.ndarray, "F 3 C"]) -> Float[np.ndarray, "S 2 C"]:
-        """What is given at the corners of the faces, at the ends of the segments."""
-        start, end = (values[self.faces[:, None], (self.corners + step) % 3] for step in (0, 1))
-        return start + self.fractions[..., None] * (end - start)
-
-    def length(self, values: Float[np.ndarray, "F 3 C"]) -> float:
-        """Length of the curve where the corners of the faces lie at `values`, metres."""
-        ends = self.at(values)
-        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1).sum())
 
 
 def girth_round(
@@ -201,38 +179,17 @@ def loop_round(
     faces: Int[np.ndarray, "F 3"],
     inside: Float[np.ndarray, "3"],
     normal: Float[np.ndarray, "3"],
-) -> Loop | None:
+) -> Curve | None:
     """Where the plane through `inside` across `normal` cuts the cloth.
 
     Of several curves the one that goes round `inside` counts, the longest of those. None where there is none, or where
     it meets an open border, so that the cloth does not go all the way round.
     """
-    height = (vertices - inside) @ normal
-    above = height >= 0
-    face, corner = np.nonzero(above[faces] != above[np.roll(faces, -1, axis=1)])
-    if not len(face):
-        return None
-    # Every face that is cut has two cut edges, side by side in this list.
-    start, end = faces[face, corner], faces[face, (corner + 1) % 3]
-    fraction = height[start] / (height[start] - height[end])
-    every = Loop(face[::2], corner.reshape(-1, 2), fraction.reshape(-1, 2))
-    edges = np.sort(np.stack([start, end], axis=1), axis=1)
-    kinds, index, uses = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    segments = index.reshape(-1, 2)
-    links = coo_array((np.ones(len(segments)), (segments[:, 0], segments[:, 1])), shape=(len(kinds), len(kinds)))
-    count, label = connected_components(links, directed=False)
-    away = np.eye(3)[np.argmin(np.abs(normal))]
-    across = np.cross(normal, away)
-    points = every.at(vertices[faces])
-    flat = (points - inside) @ np.stack([across, np.cross(normal, across)], axis=1)
-    best, longest = None, 0.0
-    for curve in range(count):
-        own = label[segments[:, 0]] == curve
-        if (uses[label == curve] == 2).all() and abs(_turns(flat[own])) > 0.5:
-            length = float(np.linalg.norm(np.diff(points[own], axis=1), axis=-1).sum())
-            if length > longest:
-                best, longest = Loop(every.faces[own], every.corners[own], every.fractions[own]), length
-    return best
+    axes = plane_axes(normal)
+    corners = vertices[faces]
+    closed = [curve for curve in cut_mesh(vertices, faces, inside, normal) if curve.closed]
+    round_it = [curve for curve in closed if _goes_round((curve.at(corners) - inside) @ axes.T)]
+    return max(round_it, key=lambda curve: curve.length(corners), default=None)
 
 
 def _pulls(tapes: dict[str, tuple[float, np.ndarray]], fabric: Fabric) -> dict[str, float]:
@@ -246,15 +203,15 @@ def _pulls(tapes: dict[str, tuple[float, np.ndarray]], fabric: Fabric) -> dict[s
     return {name: found[name] for name in tapes}
 
 
-def _turns(segments: Float[np.ndarray, "N 2 2"]) -> float:
-    """How often the closed curve made of `segments` (in any order and direction) goes round the origin, up to sign.
+def _goes_round(segments: Float[np.ndarray, "N 2 2"]) -> bool:
+    """Whether the closed curve made of `segments`, in any order and direction, goes round the origin.
 
     A ray from the origin meets a curve that goes round it an odd number of times.
     """
     (ax, ay), (bx, by) = segments[:, 0].T, segments[:, 1].T
     crosses = (ay >= 0) != (by >= 0)
     at = ax[crosses] - ay[crosses] * (bx[crosses] - ax[crosses]) / (by[crosses] - ay[crosses])
-    return float(np.sum(at > 0) % 2)
+    return bool(np.sum(at > 0) % 2)
 
 
 def stretches(
