@@ -5,28 +5,26 @@ tryon drape --design tshirt --stature 1.72 --chest 0.96 --sleeve-length 0.2 --pi
 tryon drape --batch orders.csv --out results --format obj
 """
 
-import csv
-import io
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from tryon_jax.body import load_smpl
+from tryon_jax.checks import check_file, check_range
+from tryon_jax.commands._batch import TABLE, Batch
 from tryon_jax.commands._clock import Clock
+from tryon_jax.commands._output import Look, Target
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
-from tryon_jax.commands._studio import Draped, Studio
+from tryon_jax.commands._say import say
+from tryon_jax.commands._studio import Studio, Treatment, check_area
 from tryon_jax.contact.push_out import CLEARANCE
-from tryon_jax.files.atomic import write_text
-from tryon_jax.files.export import CLOTH, SKIN, WRITERS, check_suffix, mesh_part, write_mesh
-from tryon_jax.render import ColorScale, render_picture
-from tryon_jax.render.image import check_picture_path
+from tryon_jax.files.atomic import check_target
+from tryon_jax.files.export import WRITERS
 from tryon_jax.tryon import TryOnModel, load_model
-from tryon_jax.wear.fit import Fit
 from tryon_jax.wear.other_body import meet
+from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.posing import read_pose
 
 
@@ -37,13 +35,20 @@ class Config:
     cut: Cut = field(default_factory=Cut)
     shape: BodyShape = field(default_factory=BodyShape)
     garment: Path | None = None
-    """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
+    """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply; its place on the body is found."""
+    own: OwnOptions = field(default_factory=OwnOptions)
     pose: Path | None = None
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
     smpl: Path | None = None
     """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
+    refine: tuple[int, ...] | None = None
+    """Bring the learned drape to rest by simulation, or only as many steps as given; any of the ten fabrics."""
+    simulate: bool = False
+    """Drape by simulation alone, without the networks; any of the ten fabrics."""
+    gate: bool = True
+    """Refuse a drape that is torn or lies in the body; with --no-gate it is written, and what is wrong is said."""
     push_out: bool = True
     """Push cloth that lies inside the body out of it, by the least displacement, checked by exact distances."""
     out: Path | None = None
@@ -54,8 +59,10 @@ class Config:
     """Views of the picture: front, three-quarter, side, back, or degrees."""
     height: int = 900
     """Height of the picture, pixels."""
-    map: Literal["ease", "tension", "penetration"] | None = None
-    """Colour the cloth by its distance from the body, its stretch, or how far it lies inside the body."""
+    map: str | None = None
+    """Colour the cloth by distance from the body (ease), its stretch (tension) or its depth inside (penetration)."""
+    parts: Literal["both", "garment", "body"] = "both"
+    """What the mesh file holds."""
     report: Path | None = None
     """JSON file for the report of the fit."""
     batch: Path | None = None
@@ -80,17 +87,11 @@ def _load(weights: Path | None) -> TryOnModel:
     return load_pretrained()
 
 
-_SCALES = {
-    "ease": ColorScale("distance from the body, cm", 0, 8),
-    "tension": ColorScale("stretch of the cloth, %", -10, 10, "diverging"),
-    "penetration": ColorScale("depth inside the body, mm", 0, 10),
-}
-
-
 def main(config: Config) -> None:
     """Drape what is asked for, write the files, and print the fit and where the time went."""
     clock = Clock()
-    requests, targets = _plan(config)
+    look = Look(config.views, config.height, config.map, config.parts)
+    requests, targets = _plan(config, look)
     with clock.stage("weights"):
         model = _load(config.weights)
     with clock.stage("body"):
@@ -99,93 +100,79 @@ def main(config: Config) -> None:
     studio = Studio(
         model,
         clock,
-        clearance=CLEARANCE if config.push_out else None,
+        treatment=Treatment(
+            clearance=CLEARANCE if config.push_out else None,
+            refine=None if config.refine is None else sum(config.refine),
+            simulate=config.simulate,
+            gate=config.gate,
+        ),
+        own=config.own,
         other_body=other_body,
         triangle_area=config.triangle_area,
         seed=config.seed,
     )
     pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
-    rows = []
-    for request, target in zip(requests, targets, strict=True):
-        draped = studio.drape(request)
-        if pose is not None:
-            draped = studio.pose(draped, pose)
-        if config.batch is not None:
-            print(f"-- {request.name}")
-        for line in draped.lines:
-            print(line)
-        for path in target.write(draped, config, clock):
-            print(f"wrote    {path}")
-        rows.append(draped.record(request))
-    if config.batch is not None and config.out is not None:
-        _write_table(config.out / "fit.csv", rows)
-        print(f"wrote    {config.out / 'fit.csv'}")
-    print(clock)
+    if config.batch is not None:
+        _drape_batch(Batch(Path(str(config.out)), requests, targets, _options(config)), studio, pose, look)
+        return
+    (request,), (target,) = requests, targets
+    draped = studio.drape(request)
+    if pose is not None:
+        draped = studio.pose(draped, pose)
+    written = target.write(draped, request, look, clock)
+    say(*draped.lines, *(f"wrote    {path}" for path in written), clock)
 
 
-@dataclass(frozen=True)
-class Target:
-    """The files of one garment."""
-
-    mesh: Path | None = None
-    picture: Path | None = None
-    report: Path | None = None
-
-    def write(self, draped: Draped, config: Config, clock: Clock) -> list[Path]:
-        """Write them and return their paths."""
-        colors = None if config.map is None else _SCALES[config.map].colors(_map_values(config.map, draped.fit))
-        if self.mesh is not None:
-            with clock.stage("mesh file"):
-                mesh = draped.prepared
-                body = mesh_part("body", *draped.body, material=SKIN)
-                garment = mesh_part(
-                    "garment",
-                    draped.vertices,
-                    mesh.faces,
-                    material=CLOTH,
-                    uv=mesh.uv,
-                    faces_uv=mesh.faces_uv,
-                    colors=colors,
-                )
-                write_mesh(self.mesh, [body, garment])
-        if self.picture is not None:
-            with clock.stage("picture"):
-                options = {} if colors is None else {"garment_colors": colors, "scale": _SCALES[str(config.map)]}
-                render_picture(
-                    self.picture,
-                    draped.body,
-                    (draped.vertices, draped.prepared.faces),
-                    views=[float(v) if v.lstrip("-").isdigit() else v for v in config.views],
-                    height=config.height,
-                    **options,
-                )
-        if self.report is not None:
-            write_text(self.report, json.dumps(draped.record(Request()), indent=2) + "\n")
-        return [path for path in (self.mesh, self.picture, self.report) if path is not None]
+def _drape_batch(batch: Batch, studio: Studio, pose: np.ndarray | None, look: Look) -> None:
+    """All rows; the exit code is 1 where one failed."""
+    batch.check(studio)
+    failed = batch.run(studio, pose, look, studio.clock)
+    say(f"wrote    {batch.folder / TABLE}", studio.clock)
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(batch.requests)} rows failed: {', '.join(failed)}; see {TABLE}")
 
 
-def _map_values(name: str, fit: Fit) -> np.ndarray:
-    values = {
-        "ease": 100 * fit.clearance,
-        "tension": 100 * fit.tension,
-        "penetration": 1000 * np.maximum(-fit.clearance, 0),
-    }
-    return values[name]
+def _options(config: Config) -> str:
+    """What the results of a batch depend on besides its rows; not where they are written."""
+    return repr(replace(config, out=None, batch=None))
 
 
-def _plan(config: Config) -> tuple[list[Request], list[Target]]:
+def _plan(config: Config, look: Look) -> tuple[list[Request], list[Target]]:
     """What to drape and where to write it; everything that can be refused is refused before anything is computed."""
-    if config.batch is None:
-        if config.out is not None:
-            check_suffix(config.out)
-        if config.picture is not None:
-            check_picture_path(config.picture)
-        if config.smpl is not None and config.pose is not None:
-            raise ValueError("--pose is for the networks' body; leave it out with --smpl")
-        if config.garment is not None and config.cut != Cut():
+    look.check()
+    config.own.placing.check()
+    if config.refine is not None and len(config.refine) > 1:
+        raise ValueError(f"--refine takes one number of steps or none, got {' '.join(map(str, config.refine))}")
+    if config.refine:
+        check_range("--refine", config.refine[0], 1, 10_000, "steps")
+    if config.refine is not None and config.simulate:
+        raise ValueError("give either --refine or --simulate: one starts from the learned drape, the other without")
+    if config.triangle_area is not None:
+        check_area(config.triangle_area)
+    if config.smpl is not None and config.pose is not None:
+        raise ValueError("--pose is for the networks' body; leave it out with --smpl")
+    planned = _plan_one(config) if config.batch is None else _plan_batch(config, config.batch)
+    for name in ("garment", "pose", "smpl", "weights", "batch"):
+        if getattr(config, name) is not None:
+            check_file(f"--{name}", getattr(config, name))
+    return planned
+
+
+def _plan_one(config: Config) -> tuple[list[Request], list[Target]]:
+    if config.garment is None and config.own != OwnOptions():
+        raise ValueError("unit, up, turn, offset, pose, piece and settle describe a mesh of your own: give --garment")
+    if config.garment is not None:
+        if config.cut != Cut():
             raise ValueError("give either a design or --garment, not both")
-        request = Request("garment", config.cut, config.shape, config.fabric, config.garment)
-        return [request], [Target(config.out, config.picture, config.report)]
+        for name, given in (("triangle-area", config.triangle_area is not None), ("seed", config.seed != 0)):
+            if given:
+                raise ValueError(f"--{name} makes the mesh of a design; --garment brings its own: leave it out")
+    target = Target(config.out, config.picture, config.report)
+    target.check()
+    return [Request("garment", config.cut, config.shape, config.fabric, config.garment)], [target]
+
+
+def _plan_batch(config: Config, batch: Path) -> tuple[list[Request], list[Target]]:
     for name in ("picture", "report"):
         if getattr(config, name) is not None:
             raise ValueError(f"--{name} is for one garment; with --batch use --out DIRECTORY and --pictures")
@@ -195,32 +182,11 @@ def _plan(config: Config) -> tuple[list[Request], list[Target]]:
         raise ValueError("--batch needs --out DIRECTORY for its results")
     if config.out.suffix.lower() in WRITERS or config.out.is_file():
         raise ValueError(f"with --batch, --out must be a directory, got {str(config.out)!r}")
-    requests = [replace(r, fabric=r.fabric or config.fabric) for r in read_requests(config.batch)]
-    targets = [
-        Target(
-            config.out / f"{r.name}.{config.format}", config.out / f"{r.name}.png" if config.pictures else None, None
-        )
-        for r in requests
-    ]
+    check_target(config.out / TABLE)
+    requests = [replace(r, fabric=r.fabric or config.fabric) for r in read_requests(batch)]
+    targets = []
+    for request in requests:
+        picture = config.out / f"{request.name}.png" if config.pictures else None
+        targets.append(Target(config.out / f"{request.name}.{config.format}", picture))
+        targets[-1].check()
     return requests, targets
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    flat = [_flatten(row) for row in rows]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(flat[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(flat)
-    write_text(path, text.getvalue())
-
-
-def _flatten(row: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            flat |= {f"{key}_{inner}": number for inner, number in value.items()}
-        elif isinstance(value, list):
-            flat[key] = " ".join(f"{number:g}" for number in value)
-        else:
-            flat[key] = value
-    return flat

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.body.measurements import measure_vertices
+from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.mesh.pieces import choose_cloth
 from tryon_jax.mesh.repair import LoadedGarment, clean_mesh, read_triangles, refuse_holes
 from tryon_jax.types import Body
@@ -59,7 +60,7 @@ def take_in(
     cloth, left_out = choose_cloth(clean.pieces, pieces, called)
     garment = replace(clean, pieces=tuple(cloth))
     points, triangles = garment.joined()
-    placement = place(points, _normals(points, triangles), body, placing, called)
+    placement = place(points, vertex_normals(points, triangles), body, placing, called)
     placed = placement.points(points)
     raised = LoweredArms(body, placement.arms).raise_garment(placed, triangles)
     garment = garment.moved(raised)
@@ -89,12 +90,3 @@ def too_small(
                 f"({100 * (cloth or 0):.1f} of {100 * float(measured[name]):.1f} cm)"
             )
     return said
-
-
-def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals of the vertices."""
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.zeros_like(vertices)
-    np.add.at(total, faces.ravel(), np.repeat(normal, 3, axis=0))
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)

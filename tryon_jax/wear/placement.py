@@ -14,6 +14,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from tryon_jax.checks import check_choice, check_range
+from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.mesh.repair import SIZE
 from tryon_jax.mesh.units import UNITS, fitting_units
 from tryon_jax.types import Body
@@ -322,11 +323,7 @@ class _Skin:
 
     def __init__(self, body: LoweredArms) -> None:
         self.vertices = body.vertices
-        corners = self.vertices[np.asarray(body.body.faces)]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        total = np.zeros_like(self.vertices)
-        np.add.at(total, np.asarray(body.body.faces).ravel(), np.repeat(normal, 3, axis=0))
-        self.normals = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+        self.normals = vertex_normals(self.vertices, np.asarray(body.body.faces))
         self._tree = cKDTree(self.vertices)
 
     def wears(self, points: Float[np.ndarray, "N 3"]) -> bool:
