@@ -67,8 +67,8 @@ def mesh_of_size(vertices: int) -> Mesh:
 
 @cache
 def model_of(config: TryOnConfig | None) -> TryOnModel:
-    """The pretrained model for None, else one with random weights."""
-    return load_pretrained() if config is None else init_model(jax.random.key(0), config, body=load_body())
+    """The pretrained model in the paper's form for None, else one with random weights."""
+    return load_pretrained("paper-form") if config is None else init_model(jax.random.key(0), config, body=load_body())
 
 
 @cache
@@ -76,7 +76,12 @@ def garment_of(config: TryOnConfig, vertices: int) -> Garment:
     """Graph and smoother of the mesh of this size, arrays on the device."""
     mesh = mesh_of_size(vertices)
     graph = build_graph(
-        mesh.mean, mesh.faces, load_body(config.body), num_levels=config.num_levels, pooling=config.pooling
+        mesh.mean,
+        mesh.faces,
+        load_body(config.body),
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        laplacian=config.laplacian,
     )
     smoother = make_smoother(mesh.mean, mesh.faces, config.smoothing_length, graph.num_nodes)
     return Garment(graph, smoother)

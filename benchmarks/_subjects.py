@@ -17,7 +17,7 @@ from benchmarks._machine import PRECISIONS
 from benchmarks._networks import layer_shapes
 from benchmarks._reference import ReferenceGraph, cheb_conv, double, to_csr
 from tryon_jax.graph import apply_operator
-from tryon_jax.nets import PAPER, TryOnConfig, UNet, init_cheb_conv
+from tryon_jax.nets import PAPER, TryOnConfig, UNet, init_cheb_conv, paper_form
 from tryon_jax.nets import cheb_conv as jax_cheb_conv
 from tryon_jax.training.parts import default_shapes_at_once, value_and_grad_in_parts
 from tryon_jax.tryon import Garment, Stage, TryOnModel, apply_stage, drape, smooth_features
@@ -68,12 +68,12 @@ class Work:
 
 def config_of(cell: Cell) -> TryOnConfig:
     """The networks' configuration: the pretrained model's for "small"."""
-    return PAPER if cell.config == "paper" else model_of(None).config
+    return paper_form(PAPER) if cell.config == "paper" else model_of(None).config
 
 
 def tryon_model(cell: Cell) -> TryOnModel:
     """The pretrained model for "small", random weights for "paper"."""
-    return model_of(PAPER if cell.config == "paper" else None)
+    return model_of(paper_form(PAPER) if cell.config == "paper" else None)
 
 
 def random_betas(cell: Cell, rng: np.random.Generator, num_betas: int) -> jax.Array:
@@ -180,7 +180,7 @@ def unet_forward(cell: Cell) -> Work:
     stage = Stage(cast_net(model.smooth.net, dtype), model.smooth.scale)
 
     def forward(stage: Stage, garment: Garment, betas: jax.Array) -> jax.Array:
-        return apply_stage(stage, garment.graph, smooth_features(config, garment.graph, betas))
+        return apply_stage(stage, garment.graph, smooth_features(config, garment, betas))
 
     rng = _rng(cell)
     inputs = [(random_betas(cell, rng, config.num_betas),) for _ in range(FRESH)]
@@ -201,7 +201,7 @@ def unet_forward(cell: Cell) -> Work:
 
 def squares(net: UNet, config: TryOnConfig, garment: Garment, betas: jax.Array, shares: jax.Array) -> jax.Array:
     """Mean over the vertices of the squared outputs of R_smooth, weighted over the shapes."""
-    outputs = apply_stage(Stage(net, jnp.ones(())), garment.graph, smooth_features(config, garment.graph, betas))
+    outputs = apply_stage(Stage(net, jnp.ones(())), garment.graph, smooth_features(config, garment, betas))
     return ((outputs**2).sum((0, 2)) * shares).sum() / garment.graph.num_vertices
 
 

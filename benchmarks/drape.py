@@ -25,7 +25,7 @@ from benchmarks._networks import (
     temporary_megabytes,
 )
 from benchmarks.record import table, write_record
-from tryon_jax.nets import load_config
+from tryon_jax.nets import load_config, paper_form
 from tryon_jax.tryon import Garment, TryOnModel, drape, prepare
 
 
@@ -71,7 +71,7 @@ def weights_gradient(model: TryOnModel, garment: Garment, betas: jax.Array) -> A
 
 def row_of(config: Config, name: str, vertices: int, batch: int) -> dict[str, Any] | None:
     """One line of the table, or None where it would not fit into memory."""
-    settings = load_config(name)
+    settings = paper_form(load_config(name))
     model, garment = random_model(settings), garment_of_size(settings, vertices)
     nodes = garment.graph.num_nodes
     widest = sum(sum(net.widths) for net in (settings.smooth, settings.fine))
@@ -117,7 +117,7 @@ def row_of(config: Config, name: str, vertices: int, batch: int) -> dict[str, An
 
 def count_compilations(config: Config) -> int:
     """Compilations of a jitted drape when garments of new topologies meet a bucket that it knows."""
-    settings = load_config(config.configs[0])
+    settings = paper_form(load_config(config.configs[0]))
     model, first = random_model(settings), garment_of_size(settings, 1414)
     jitted = jax.jit(drape, static_argnames="fabric")
     betas = jnp.zeros(settings.num_betas)

@@ -24,7 +24,7 @@ from benchmarks._networks import (
     temporary_megabytes,
 )
 from benchmarks.record import table, write_record
-from tryon_jax.nets import load_config
+from tryon_jax.nets import load_config, paper_form
 from tryon_jax.nets.unet import UNet
 from tryon_jax.training.parts import value_and_grad_in_parts
 from tryon_jax.training.stages import StageBatch, stage_loss
@@ -55,10 +55,10 @@ class Config:
 
 def row_of(config: Config, name: str, vertices: int, order: int | None) -> dict[str, Any]:
     """One line of the table."""
-    settings = load_config(name)
+    settings = paper_form(load_config(name))
     if order is not None:
         settings = replace(settings, smooth=replace(settings.smooth, order=order))
-    model, garment = random_model(settings), garment_of_size(load_config(name), vertices)
+    model, garment = random_model(settings), garment_of_size(settings, vertices)
     optimiser = optax.adam(1e-3)
     rng = np.random.default_rng(0)
     nodes, shape = garment.graph.num_nodes, (config.garments, config.samples)

@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 
 import tryon_jax as tj
-from tryon_jax.contact.push_out import push_out
-from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.files.export import mesh_part, write_mesh
 
 
@@ -32,19 +30,15 @@ def tube_dress(rows: int = 34, columns: int = 72) -> tuple[np.ndarray, np.ndarra
 
 def main(betas: tuple[float, ...] = (1.0, -1.0)) -> tuple[np.ndarray, np.ndarray]:
     """Drape the tube on a body and push it out; returns its vertices before and after."""
+    session = tj.Session()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "tube.obj"
         write_mesh(path, [mesh_part("tube", *tube_dress())])
-        model = tj.load_pretrained()
-        garment = tj.prepare(model, mesh=path)
-    shape = np.array(betas, np.float32)
-    before = garment.unpad(tj.drape(model, garment, shape))
-    body = ClosedSurface(np.asarray(tj.shape_body(model.body, shape)[0]), np.asarray(model.body.faces))
-    pushed = push_out(before, garment.faces, body)
-    print(
-        f"{garment.num_vertices} vertices; {100 * pushed.inside_before:.1f} % of the cloth was inside the body, now 0"
-    )
-    return before, pushed.vertices
+        garment = session.prepare(mesh=path)
+    dressed = session.try_on(garment, betas)
+    print("\n".join(dressed.fit.lines()))
+    print(f"{100 * dressed.pushed.inside_before:.1f} % of the cloth was inside the body before the push")
+    return dressed.fine, dressed.vertices
 
 
 if __name__ == "__main__":

@@ -51,6 +51,15 @@ _FLAT = UNetConfig(widths=(48,), encoder_convs=11)
 
 VARIANTS: dict[str, Variant] = {
     "base": Variant("`small` as it is"),
+    "node": Variant(
+        "the paper's form: betas at each node, no waves, no design, symmetric Laplacian",
+        {"conditioning": "node", "wavelengths": (), "design_features": False, "laplacian": "symmetric"},
+    ),
+    "no-waves": Variant("no sines and cosines of the position", {"wavelengths": ()}),
+    "no-design": Variant("nodes do not know the design", {"design_features": False}),
+    "symmetric": Variant("symmetric Laplacian", {"laplacian": "symmetric"}),
+    "fields-8": Variant("K = 8 fields", {"fields": 8}),
+    "fields-48": Variant("K = 48 fields", {"fields": 48}),
     "no-weights": Variant("no skinning weights in the node", skinning_weights=False),
     "one-stage": Variant("one network in place of R_smooth and R_fine", {"reference": "paper"}, one_stage=True),
     "no-pooling": Variant(
@@ -169,13 +178,13 @@ def train_variant(
             )
             for s, x in zip(samples, sets, strict=True)
         ]
-    stage, result = fit_stage(model, "smooth", model.smooth, sets, folder / "smooth", steps(total), checksum)
+    stage, smooth = fit_stage(model, "smooth", model.smooth, sets, folder / "smooth", steps(total), checksum)
     model = replace(model, smooth=stage)
     record = {
         "parameters": count_parameters(stage.net),
         "garments": sum(bool(x.train.any()) for x in sets),
         "samples": int(sum(x.train.sum() for x in sets)),
-        "smooth": {"steps": total, "seconds": result.seconds, "curve": result.curve},
+        "smooth": {key: smooth[key] for key in ("steps", "seconds", "curve")},
     }
     if variant.one_stage:
         return model, record
@@ -183,10 +192,10 @@ def train_variant(
     before = [predictor(stage, s.garment, s.betas) for s in samples]
     fine = [restrict(kept(s), x) for s, x in zip(samples, fine_sets(samples, manifest, fabric, before), strict=True)]
     started = model.fine[fabric]
-    stage, result = fit_stage(model, "fine", started, fine, folder / f"fine-{fabric}", steps(fine_steps), checksum)
+    stage, last = fit_stage(model, "fine", started, fine, folder / f"fine-{fabric}", steps(fine_steps), checksum)
     model = replace(model, fine={fabric: stage})
     record["parameters"] += count_parameters(stage.net)
-    record["fine"] = {"steps": fine_steps, "seconds": result.seconds, "curve": result.curve}
+    record["fine"] = {key: last[key] for key in ("steps", "seconds", "curve")}
     return model, record
 
 

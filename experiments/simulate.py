@@ -10,7 +10,8 @@ from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import DatasetConfig, default_root, open_dataset, remove_leftovers
-from tryon_jax.training.generate import batches, garment_names, plan, run_batch, run_task
+from tryon_jax.training.generate import run_batch
+from tryon_jax.training.plan import batches, garment_names, plan
 from tryon_jax.training.samples import manifest_table, read_samples
 
 
@@ -25,14 +26,15 @@ class Config:
     betas: Literal[1, 2] = 2
     """Shape coefficients that vary: 2, or the paper's 1."""
     rays: int = 25
-    """Rays of body shapes (at most 25 with two betas, 2 with one); the first ones cover all directions evenly."""
+    """Rays of body shapes (at most 25 with two betas, 2 with one); the first ones cover all directions evenly.
+    Additional designs need no more than eight, each its own."""
+    designs: int = 300
+    """With `--part additional`: how many of them."""
     part: Literal["training", "additional", "unseen", "topologies"] = "training"
     """training: the 19 training designs in both topologies; additional: further training designs in one; unseen: the
     6 unseen designs; topologies: 7 unseen topologies of one training design."""
     topology_design: str = "tshirt"
     """Design of `--part topologies`."""
-    templates: int = 120
-    """Designs draped for R_mean (with `--part training`)."""
     dense_vertices: int = 0
     """0: templates for R_mean are fitted to drapes at working density; else simulated on a dense mesh of so many
     vertices and downsampled (17246: the paper)."""
@@ -62,28 +64,23 @@ def main(config: Config) -> None:
             num_betas=config.betas, target_area=manifest.target_area, dense_vertices=config.dense_vertices
         )
         designs, seeds = training, manifest.training_seeds
-    templates = config.templates
-    if config.part != "training":
-        templates = 0
     if config.part == "additional":
-        designs, seeds = [design.label for design in manifest.additional], manifest.training_seeds[:1]
+        designs, seeds = [design.label for design in manifest.additional[: config.designs]], manifest.training_seeds[:1]
     if config.part == "unseen":
         designs, seeds = [design.label for design in manifest.unseen], manifest.training_seeds[:1]
     if config.part == "topologies":
         designs, seeds = [config.topology_design], manifest.test_seeds
     root = open_dataset(config.out.expanduser(), dataset)
     remove_leftovers(root)
-    waves = plan(dataset, garment_names(manifest, designs, seeds), config.rays, templates)
+    garments = garment_names(manifest, designs, seeds)
+    waves = plan(dataset, manifest, garments, config.rays, additional=config.part == "additional")
     failed: list[str] = []
     with open_pool(config.processes, config.scheduler) as pool:
-        for name, wave in zip(("mean body", "templates", "rays"), waves, strict=True):
+        for name, wave in waves:
             missing = [task for task in wave if not task.path(root).exists()]
-            if config.batch > 1:
-                groups = [(str(root), group) for group in batches(missing, config.batch)]
-                failed += run_all(pool, f"{name}, {config.batch} at once", run_batch, groups)
-            else:
-                calls = [(str(root), task) for task in missing]
-                failed += run_all(pool, name, run_task, calls, len(wave) - len(missing))
+            groups = batches(missing, config.batch) if config.batch > 1 else [(task,) for task in missing]
+            done = len(wave) - len(missing) if config.batch == 1 else 0
+            failed += run_all(pool, name, run_batch, [(str(root), group) for group in groups], done)
     write_text(root / "samples.csv", manifest_table(root, read_samples(root), manifest))
     write_text(root / "checksums.txt", checksums(root))
     if failed:

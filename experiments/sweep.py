@@ -96,10 +96,9 @@ def main(config: Config) -> None:
         start = init_model(jax.random.key(0), replace(model.config, smooth=variant.net), body=model.body).smooth
         folder = config.work / name.replace(" ", "-")
         checksum = dataset_checksum(config.data, chosen)
-        _, result = fit_stage(model, "smooth", start, sets, folder, options, checksum)
+        _, found = fit_stage(model, "smooth", start, sets, folder, options, checksum)
         row = {"variant": name, **asdict(variant), "parameters": count_parameters(start.net)}
-        row |= {"steps": options.loop.steps, "seconds": result.seconds, "curve": result.curve}
-        rows.append(row | {"validation_mm": min(r["validation"] for r in result.curve)})
+        rows.append(row | {key: found[key] for key in ("steps", "seconds", "curve", "validation_mm")})
         print(f"{name}: {rows[-1]['validation_mm']:.2f} mm after {result.seconds:.0f} s", flush=True)
     results = {"variants": rows}
     publish(config, "sweep", results, markdown, draw, garments=chosen)

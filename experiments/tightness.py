@@ -14,6 +14,7 @@ from experiments._evaluate import Pipeline, body_vertices, case_names, load_all,
 from experiments._record import RESULTS, publish
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.checks import check_range
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stretch import MAX_TENSION
@@ -69,8 +70,9 @@ def main(config: Config) -> None:
                 tension = simulated.get((name, fabric, _key(samples.betas[row])))
                 if tension is None:
                     continue
+                surface = ClosedSurface(bodies[k], faces)
                 fit = measure_fit(
-                    bodies[k], faces, landmarks, predicted.fine[k], mesh["faces"], mesh["uv"], mesh["faces_uv"], cloth
+                    surface, landmarks, predicted.fine[k], mesh["faces"], mesh["uv"], mesh["faces_uv"], cloth
                 )
                 pairs[fabric].append((max(fit.pull.values(), default=0.0), tension))
     results = {"limit": MAX_TENSION, "garments": len(garments), "fabrics": [compare(f, pairs[f]) for f in fabrics]}

@@ -1,5 +1,6 @@
 """Fine-tune R_fine against collisions, self-supervised: random bodies, designs and topologies, no simulation."""
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,11 +23,11 @@ class Config:
     collisions: CollisionOptions = field(default_factory=CollisionOptions)
 
 
-def main(config: Config) -> None:
-    """Fine-tune one fabric after the other and report vertices inside the body before and after."""
+def main(config: Config, pool: Executor | None = None) -> None:
+    """Fine-tune the fabrics, one after the other or on a pool, and report vertices inside the body before and after."""
     fabrics = config.fabrics or tuple(read_record(model_path(config.run))["config"]["fabrics"])
+    fit_collisions(config.run, fabrics, config.collisions, config.data, pool)
     for fabric in fabrics:
-        fit_collisions(config.run, fabric, config.collisions, config.data)
         draw_curve(config.run / f"collisions-{fabric}", "vertices inside, held-out garments, %")
         record = read_record(model_path(config.run))["training"][f"collisions-{fabric}"]
         for name in ("training", "held_out"):

@@ -1,5 +1,6 @@
 """Train R_fine of each fabric: what the smooth drape lacks."""
 
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,10 +23,11 @@ class Config:
     stage: StageOptions = field(default_factory=StageOptions)
 
 
-def main(config: Config) -> None:
-    """Train one fabric after the other and report the validation errors."""
-    for fabric in config.fabrics or read_config(config.data).fabrics:
-        fit_fine(config.data, config.run, fabric, config.stage)
+def main(config: Config, pool: Executor | None = None) -> None:
+    """Train the fabrics, one after the other or on a pool of processes, and report the validation errors."""
+    fabrics = config.fabrics or read_config(config.data).fabrics
+    fit_fine(config.data, config.run, fabrics, config.stage, pool)
+    for fabric in fabrics:
         draw_curve(config.run / f"fine-{fabric}", "validation error, mm")
         record = read_record(model_path(config.run))["training"][f"fine-{fabric}"]
         print(f"R_fine {fabric}: {record['validation_mm']:.2f} mm on validation shapes, {record['seconds']} s")

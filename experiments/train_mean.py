@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tryon_jax.nets.config import load_config
+from tryon_jax.garment import load_design_space
+from tryon_jax.nets.config import Conditioning, load_config, paper_form
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.mean import MeanTraining
@@ -21,6 +22,8 @@ class Config:
     """Folder of the run; the model is run/model.safetensors."""
     size: Literal["small", "paper"] = "small"
     """Configuration of the networks."""
+    conditioning: Conditioning = "fields"
+    """fields: the networks predict displacement fields; node: the paper's form, with the betas at each node."""
     reference: Literal["smoothed", "paper"] = "smoothed"
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
     mean: MeanTraining = field(default_factory=MeanTraining)
@@ -37,7 +40,10 @@ def main(config: Config) -> None:
         num_betas=dataset.num_betas,
         target_area=dataset.target_area,
         reference=config.reference,
+        num_parameters=len(load_design_space(dataset.layout).names),
     )
+    if config.conditioning == "node":
+        network = paper_form(network)
     fit_mean(config.data, config.run, network, config.mean)
     record = read_record(model_path(config.run))["training"]["mean"]
     print(

@@ -10,12 +10,18 @@ from tryon_jax.body import (
     shape_body,
     vertex_normals,
 )
-from tryon_jax.garment import load_design_space, remesh
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.garment import DesignSpace, load_design_space, remesh
+from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.tryon import (
+    DrapeFields,
     Garment,
     TryOnModel,
+    apply_fields,
     body_contact,
     drape,
+    drape_fields,
     drape_stages,
     init_model,
     load_model,
@@ -25,15 +31,25 @@ from tryon_jax.tryon import (
     save_model,
     stack_garments,
 )
+from tryon_jax.types import Body
+from tryon_jax.wear.session import Session
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Body",
+    "ClosedSurface",
+    "DesignSpace",
+    "DrapeFields",
     "Garment",
+    "Session",
+    "TryOnConfig",
     "TryOnModel",
+    "apply_fields",
     "betas_from_measurements",
     "body_contact",
     "drape",
+    "drape_fields",
     "drape_stages",
     "face_normals",
     "init_model",
@@ -46,6 +62,7 @@ __all__ = [
     "measure_body",
     "pose_body",
     "prepare",
+    "push_out",
     "remesh",
     "save_model",
     "shape_body",

@@ -18,7 +18,7 @@ from benchmarks._subjects import Cell, work_of_layers
 from benchmarks.compare import ALL, NETWORKS, Config, main, measure_cell, plan, summary, time_calls
 from tryon_jax.graph import build_graph
 from tryon_jax.graph.smoothing import make_smoother
-from tryon_jax.nets.config import load_config
+from tryon_jax.nets.config import load_config, paper_form
 from tryon_jax.nets.unet import UNetConfig, init_unet
 from tryon_jax.tryon import Garment, Stage, apply_stage, drape, init_model, smooth_features
 
@@ -86,15 +86,15 @@ def test_the_larger_subjects_agree_with_float64(subject):
 def test_the_reference_is_the_network():
     """Two levels, order 3, layer widths up and down: written twice, equal."""
     net = UNetConfig(widths=(6, 9), encoder_convs=1, order=3)
-    config = load_config("small", smooth=net, fine=net, num_levels=2)
+    config = paper_form(load_config("small", smooth=net, fine=net, num_levels=2))
     model = init_model(jax.random.key(3), config)
     mesh = mesh_of_size(300)
-    graph = build_graph(mesh.mean, mesh.faces, model.body, num_levels=2)
+    graph = build_graph(mesh.mean, mesh.faces, model.body, num_levels=2, laplacian=config.laplacian)
     garment = Garment(graph, make_smoother(mesh.mean, mesh.faces, config.smoothing_length, graph.num_nodes))
     betas = jnp.array([[0.7, -1.1]])
     reference = ReferenceGraph(garment)
     stage = Stage(init_unet(jax.random.key(4), net, config.smooth_features), jnp.asarray(0.5))
-    found = apply_stage(stage, graph, smooth_features(config, graph, betas))[:, 0]
+    found = apply_stage(stage, graph, smooth_features(config, garment, betas))[:, 0]
     features = reference.smooth_features(config, np.asarray(betas[0], np.float64))
     np.testing.assert_allclose(found, reference.displacement(double(stage), features), atol=2e-6)
     draped = drape(model, garment, betas)[0]

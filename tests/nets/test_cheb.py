@@ -15,7 +15,7 @@ from tryon_jax.nets import ChebConv, cheb_conv, init_cheb_conv
 @pytest.fixture(scope="module")
 def graph():
     vertices, faces = join(disc(60), tube(6, 5))
-    scaled, _ = scaled_laplacian(unique_edges(faces, len(vertices))[0], len(vertices))
+    scaled, _ = scaled_laplacian(unique_edges(faces, len(vertices))[0], len(vertices), "symmetric")
     return scaled, make_operator(scaled, (128, 128), slots=7, dtype=np.float64)
 
 

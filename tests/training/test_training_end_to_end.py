@@ -13,9 +13,10 @@ from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import DatasetConfig, open_dataset
 from tryon_jax.training.garments import load_simulated, training_shapes
-from tryon_jax.training.generate import Bench, plan, run_task
+from tryon_jax.training.generate import run_batch
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.mean import MeanTraining
+from tryon_jax.training.plan import plan
 from tryon_jax.training.recipes import (
     StageOptions,
     fit_collisions,
@@ -26,24 +27,21 @@ from tryon_jax.training.recipes import (
     load_samples,
     model_path,
 )
+from tryon_jax.training.simulator import Simulator
 from tryon_jax.training.stages import Predictor, smooth_sets, validation_error
 
 FABRIC = "gray-interlock"
+CONFIG = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0, reference_vertices=500)
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    """One T-shirt at coarse triangles, one fabric, two rays of eight shapes, five template drapes.
-
-    Triangles this coarse cut some templates deeper into the body than the rules of the dataset allow; the fourth and
-    the fifth lie 1.2 and 2 mm from that limit, so that no other rounding turns them away.
-    """
+    """One T-shirt at coarse triangles, one fabric, two rays of eight shapes."""
     root = tmp_path_factory.mktemp("dataset")
-    config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
-    open_dataset(root, config)
-    for wave in plan(config, ["tshirt-0"], rays=2, templates=5):
+    open_dataset(root, CONFIG)
+    for _, wave in plan(CONFIG, load_manifest(), ["tshirt-0"], rays=2):
         for task in wave:
-            assert run_task(str(root), task)
+            assert run_batch(str(root), [task])
     return root
 
 
@@ -62,7 +60,7 @@ def run(dataset, tmp_path_factory, unchecked):
     fit_mean(dataset, folder, config, MeanTraining(steps=300))
     options = StageOptions(LoopOptions(steps=120, learning_rate=4e-3, evaluate_every=60), garments=1, shapes=4)
     fit_smooth(dataset, folder, options)
-    fit_fine(dataset, folder, FABRIC, replace(options, loop=replace(options.loop, steps=40, evaluate_every=20)))
+    fit_fine(dataset, folder, [FABRIC], replace(options, loop=replace(options.loop, steps=40, evaluate_every=20)))
     return folder
 
 
@@ -72,7 +70,7 @@ def test_the_papers_input_and_energies_are_options(dataset, run, tmp_path):
     (tmp_path / "model.safetensors").write_bytes(model_path(run).read_bytes())
     loop = LoopOptions(steps=2, evaluate_every=2)
     options = StageOptions(loop, garments=1, shapes=4, fine_input="smoothed", energy=0.1)
-    fit_fine(dataset, tmp_path, FABRIC, options)
+    fit_fine(dataset, tmp_path, [FABRIC], options)
     record = read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]
     assert record["options"]["energy"] == 0.1
     assert np.isfinite(record["validation_mm"])
@@ -80,7 +78,7 @@ def test_the_papers_input_and_energies_are_options(dataset, run, tmp_path):
     # A run that starts from a trained model says what that was trained on; finished once more it says the same.
     earlier = read_record(model_path(run))["training"][f"fine-{FABRIC}"]
     assert record["continues"] == earlier
-    fit_fine(dataset, tmp_path, FABRIC, options)
+    fit_fine(dataset, tmp_path, [FABRIC], options)
     assert read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]["continues"] == earlier
     before, after = load_model(model_path(run)).fine[FABRIC], load_model(model_path(tmp_path)).fine[FABRIC]
     assert not np.array_equal(before.net.head.weight, after.net.head.weight)
@@ -94,9 +92,9 @@ def test_fresh_topologies_are_trained_on_and_have_no_energy(dataset, run, tmp_pa
     assert record["garments"] == 2
     assert record["samples"] == 2 * record["continues"]["samples"]
     assert record["options"]["fresh"] == 1
-    assert "fresh" not in record["continues"]["options"]
+    assert record["continues"]["options"]["fresh"] == 0
     with pytest.raises(ValueError, match=r"energy = 0\.1 needs fresh = 0, not 1"):
-        fit_fine(dataset, tmp_path, FABRIC, replace(options, energy=0.1))
+        fit_fine(dataset, tmp_path, [FABRIC], replace(options, energy=0.1))
 
 
 def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, unchecked):
@@ -107,20 +105,21 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
     options = CollisionOptions(loop, pool=2, held_out=1, shapes=4)
     for bad, message in ((0.5, "replay = 0.5 needs the folder of a dataset"), (1.0, "replay = 1 is outside")):
         with pytest.raises(ValueError, match=message):
-            fit_collisions(tmp_path, FABRIC, replace(options, replay=bad))
-    fit_collisions(tmp_path, FABRIC, options)
+            fit_collisions(tmp_path, [FABRIC], replace(options, replay=bad))
+    fit_collisions(tmp_path, [FABRIC], options)
     first = read_record(model_path(tmp_path))["training"][f"collisions-{FABRIC}"]
-    assert {"replay", "dataset", "continues"}.isdisjoint({*first, *first["options"]})
+    assert {"dataset", "continues"}.isdisjoint(first)
+    assert first["options"]["replay"] == 0
     (tmp_path / f"collisions-{FABRIC}").rename(tmp_path / "first")
     # Steps that only see simulated drapes, or nearly so, bring the network nearer to them.
     loop = LoopOptions(steps=40, learning_rate=2e-3, evaluate_every=40)
-    fit_collisions(tmp_path, FABRIC, replace(options, loop=loop, replay=0.9, anchor=0.0), dataset)
+    fit_collisions(tmp_path, [FABRIC], replace(options, loop=loop, replay=0.9, anchor=0.0), dataset)
     second = read_record(model_path(tmp_path))["training"][f"collisions-{FABRIC}"]
     assert second["options"]["replay"] == 0.9
     assert second["dataset"] == read_record(model_path(run))["training"][f"fine-{FABRIC}"]["dataset"]
     assert second["continues"] == first
     # Asked for once more it is done already, and its record stays.
-    fit_collisions(tmp_path, FABRIC, replace(options, loop=loop, replay=0.9, anchor=0.0), dataset)
+    fit_collisions(tmp_path, [FABRIC], replace(options, loop=loop, replay=0.9, anchor=0.0), dataset)
     assert read_record(model_path(tmp_path))["training"][f"collisions-{FABRIC}"] == second
     assert second["inside_training_percent"][0] == pytest.approx(first["inside_training_percent"][1])
     before, after = load_model(model_path(run)), load_model(model_path(tmp_path))
@@ -129,13 +128,13 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
     errors = [validation_error(predictor, m.fine[FABRIC], sets) for m in (before, after)]
     assert errors[1] < errors[0]
     # R_fine trained once more has not been through a collision step.
-    fit_fine(dataset, tmp_path, FABRIC, StageOptions(LoopOptions(steps=2, evaluate_every=2), garments=1, shapes=4))
+    fit_fine(dataset, tmp_path, [FABRIC], StageOptions(LoopOptions(steps=2, evaluate_every=2), garments=1, shapes=4))
     assert f"collisions-{FABRIC}" not in read_record(model_path(tmp_path))["training"]
 
 
 def test_tasks_are_done_once(dataset):
-    config = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0)
-    assert all(run_task(str(dataset), task) == "" for wave in plan(config, ["tshirt-0"], 2, 5) for task in wave)
+    waves = plan(CONFIG, load_manifest(), ["tshirt-0"], 2)
+    assert all(run_batch(str(dataset), [task]) == "" for _, wave in waves for task in wave)
 
 
 def test_training_improves_on_doing_nothing(dataset, run):
@@ -173,8 +172,7 @@ def test_test_shapes_are_marked_and_never_trained_on(dataset, run):
 def test_test_garments_are_refused(dataset, run):
     from tryon_jax.tryon import load_model
 
-    bench = Bench(dataset)
-    bench.garment("tshirt-100")
+    Simulator(dataset).garment("tshirt-100")
     samples = load_simulated(load_model(model_path(run)), dataset, "tshirt-0", [FABRIC])
     with pytest.raises(PermissionError, match="tshirt-100 is a test garment"):
         training_shapes(replace(samples, name="tshirt-100"), load_manifest())

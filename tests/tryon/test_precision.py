@@ -39,7 +39,7 @@ def test_half_precision_networks_give_nearly_the_same_float32():
 
     def loss(net, dtype):
         stage = replace(model.smooth, net=cast_net(net, dtype))
-        return (apply_stage(stage, graph, smooth_features(config, graph, betas)) ** 2).sum()
+        return (apply_stage(stage, graph, smooth_features(config, garment, betas)) ** 2).sum()
 
     exact, rough = (jax.grad(loss)(model.smooth.net, dtype) for dtype in (jnp.float32, jnp.bfloat16))
     for one, other in zip(jax.tree.leaves(exact), jax.tree.leaves(rough), strict=True):

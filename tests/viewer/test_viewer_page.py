@@ -14,8 +14,9 @@ from flat_model import flat_model
 from headless_browser import PROGRAM, Browser
 from PIL import Image
 
-from tryon_jax.viewer import serve, simulation, wardrobe
+from tryon_jax.viewer import serve, simulation
 from tryon_jax.viewer.upload import MAX_BYTES
+from tryon_jax.wear import session
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(PROGRAM is None, reason="no Chromium on this machine")]
 ARTIFACTS = Path(os.environ.get("TRYON_ARTIFACTS", "artifacts"))
@@ -25,7 +26,7 @@ ARTIFACTS = Path(os.environ.get("TRYON_ARTIFACTS", "artifacts"))
 def url():
     with pytest.MonkeyPatch.context() as patch:
         # The flat panels cut through the body, which is far from what a push can mend: it is not waited for.
-        patch.setattr(wardrobe, "push_out", partial(wardrobe.push_out, max_rounds=1))
+        patch.setattr(session, "push_out", partial(session.push_out, max_rounds=1))
         server = serve(flat_model(target_area=1.5e-3), port=8765)
         assert server.get_host() == "127.0.0.1"
         yield f"http://127.0.0.1:{server.get_port()}"

@@ -4,6 +4,7 @@ import pytest
 
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.body.landmarks import load_landmarks
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stretch import stiffness, tension_along
 from tryon_jax.wear.fit import EASE_AT, girth_round, measure_fit, pattern_of, stretches, tape_place
@@ -33,6 +34,10 @@ def cylinder(radius, low, high, rows=9, columns=240, around=(0.0, 0.0)):
 
 
 UP = np.array([0.0, 1.0, 0.0])
+
+
+def skin(body, vertices) -> ClosedSurface:
+    return ClosedSurface(vertices, np.asarray(body.faces))
 
 
 def test_girth_of_a_tube_is_its_circumference():
@@ -75,14 +80,14 @@ def test_cloth_round_a_tube_pulls_as_its_fabric_does():
     middle, _ = tape_place(landmarks, "waist", vertices.astype(float))
     points, faces, uv, faces_uv = cylinder(0.2, middle[1] - 0.05, middle[1] + 0.05, around=(0.0, middle[2]))
     for share, pulls in ((1.0, False), (0.98, True), (1.02, False)):
-        fit = measure_fit(vertices, body.faces, landmarks, points, faces, uv * [share, 1], faces_uv, fabric)
+        fit = measure_fit(skin(body, vertices), landmarks, points, faces, uv * [share, 1], faces_uv, fabric)
         stretch = fit.girth_stretch["waist"]
         assert stretch == pytest.approx(1 / share, rel=1e-3)
         # Green strain along the warp times the stiffness that the table has there.
         green = 0.5 * (stretch**2 - 1)
         expected = green * float(stiffness(jnp.array([[green, 0.0, 0.0]]), fabric)[0, 0]) if pulls else 0.0
         assert fit.pull["waist"] == pytest.approx(expected, rel=0.02, abs=1e-6)
-    tight = measure_fit(vertices, body.faces, landmarks, points, faces, uv * [0.7, 1], faces_uv, fabric)
+    tight = measure_fit(skin(body, vertices), landmarks, points, faces, uv * [0.7, 1], faces_uv, fabric)
     assert tight.too_tight == ["waist"]
     assert "hardly be put on at the waist" in "\n".join(tight.lines())
     assert tight.as_dict()["too_tight"] == ["waist"]
@@ -115,7 +120,7 @@ def fitted():
     landmarks = load_landmarks(body)
     hip, waist = (tape_place(landmarks, name, vertices)[0] for name in ("hip", "waist"))
     tube = cylinder(0.26, hip[1] - 0.1, waist[1] - 0.03, around=(hip[0], hip[2]))
-    return measure_fit(vertices, np.asarray(body.faces), landmarks, *tube), tube
+    return measure_fit(skin(body, vertices), landmarks, *tube), tube
 
 
 def test_ease_is_the_cloths_girth_minus_the_bodys(fitted):
@@ -133,7 +138,7 @@ def test_a_tube_around_the_body_is_clear_of_it_and_a_tight_one_is_not(fitted):
     body = load_body("female")
     vertices = np.asarray(shape_body(body, np.zeros(10))[0])
     tight = points * [0.4, 1, 0.4]
-    fit = measure_fit(vertices, np.asarray(body.faces), load_landmarks(body), tight, *rest)
+    fit = measure_fit(skin(body, vertices), load_landmarks(body), tight, *rest)
     assert 0.2 < fit.inside < 1
     assert 0.01 < fit.deepest < 0.2
     assert fit.ease["hip"] < 0

@@ -12,15 +12,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Float
+
+from tryon_jax.commands._answer import Treatment, answer, check
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._report import record, report_lines
 from tryon_jax.commands._request import Request
 from tryon_jax.commands._say import say
-from tryon_jax.commands._studio import Studio
 from tryon_jax.files.atomic import write_text
 from tryon_jax.physics.dressing import Diverged
 from tryon_jax.wear.fit import EASE_AT
 from tryon_jax.wear.gate import Refused
+from tryon_jax.wear.session import Session
 
 TABLE = "fit.csv"
 """The table of a batch, in its directory."""
@@ -51,23 +56,26 @@ class Batch:
     folder: Path
     requests: Sequence[Request]
     targets: Sequence[Target]
+    treatment: Treatment
+    look: Look
+    pose: Float[np.ndarray, "J 3"] | None
     options: str
     """Everything else that the results depend on, as text."""
 
-    def check(self, studio: Studio) -> None:
+    def check(self, session: Session) -> None:
         """Look at every row before any is draped; raises `ValueError` that names all that cannot be."""
         bad = []
         for number, request in enumerate(self.requests, start=1):
             try:
-                studio.check(request)
+                check(session, request, self.treatment)
             except (ValueError, OSError) as error:
                 bad.append(f"row {number} ({request.name}): {error}")
         if bad:
             raise ValueError(f"{len(bad)} of {len(self.requests)} rows cannot be draped: {'; '.join(bad)}")
 
-    def run(self, studio: Studio, pose: Any, look: Look, clock: Clock) -> list[str]:
+    def run(self, session: Session, clock: Clock) -> list[str]:
         """Drape what is not done yet; returns the names of the rows that failed."""
-        names = columns(studio.space.names)
+        names = columns(session.space.names)
         done = self._read(names)
         rows: dict[str, dict[str, str]] = {}
         failed = []
@@ -79,7 +87,7 @@ class Batch:
                 rows[request.name] = before
                 continue
             say(f"-- {request.name}")
-            row = self._row(studio, request, target, pose, look, clock)
+            row = self._row(session, request, target, clock)
             rows[request.name] = {name: _cell((row | {"order": order}).get(name)) for name in names}
             if row.get("error"):
                 failed.append(request.name)
@@ -88,22 +96,19 @@ class Batch:
         self._write(names, [rows.get(r.name) for r in self.requests])
         return failed
 
-    @staticmethod
-    def _row(studio: Studio, request: Request, target: Target, pose: Any, look: Look, clock: Clock) -> dict[str, Any]:
+    def _row(self, session: Session, request: Request, target: Target, clock: Clock) -> dict[str, Any]:
         """Drape one row and write its files; what goes wrong becomes part of the record."""
         try:
-            draped = studio.drape(request)
-            if pose is not None:
-                draped = studio.pose(draped, pose)
-            written = target.write(draped, request, look, clock)
+            dressed, remarks = answer(session, request, self.treatment, clock, self.pose)
+            written = target.write(dressed, request.name, self.look, clock)
         except (Refused, Diverged) as error:
             say(f"refused  {error}")
             return {"name": request.name, "outcome": "refused", "error": str(error)}
         except (ValueError, TypeError, OSError, FloatingPointError) as error:
             say(f"failed   {error}")
             return {"name": request.name, "outcome": FAILED, "error": str(error)}
-        say(*draped.lines, *(f"wrote    {path}" for path in written))
-        return _flatten(draped.record(request))
+        say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written))
+        return _flatten(record(dressed, request.name))
 
     def _order(self, request: Request) -> str:
         """A fingerprint of what is asked for."""

@@ -9,23 +9,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
 from tryon_jax.body import load_smpl
 from tryon_jax.checks import check_file, check_range
+from tryon_jax.commands._answer import Treatment, answer
 from tryon_jax.commands._batch import TABLE, Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._report import report_lines
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._say import say
-from tryon_jax.commands._studio import Studio, Treatment, check_area
-from tryon_jax.contact.push_out import CLEARANCE
 from tryon_jax.files.atomic import check_target
 from tryon_jax.files.export import WRITERS
 from tryon_jax.tryon import TryOnModel, load_model
-from tryon_jax.wear.other_body import meet
 from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.posing import read_pose
+from tryon_jax.wear.session import Session
 
 
 @dataclass(frozen=True)
@@ -95,41 +93,42 @@ def main(config: Config) -> None:
     with clock.stage("weights"):
         model = _load(config.weights)
     with clock.stage("body"):
-        known = model.body, model.config.num_betas
-        other_body = None if config.smpl is None else meet(load_smpl(config.smpl), *known)
-    studio = Studio(
-        model,
-        clock,
-        treatment=Treatment(
-            clearance=CLEARANCE if config.push_out else None,
-            refine=None if config.refine is None else sum(config.refine),
-            simulate=config.simulate,
-            gate=config.gate,
-        ),
+        body = None if config.smpl is None else load_smpl(config.smpl)
+        session = Session(model, body=body, triangle_area=_area(config))
+    pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
+    treatment = Treatment(
+        push_out=config.push_out,
+        refine=config.refine is not None,
+        steps=sum(config.refine or ()) or None,
+        simulate=config.simulate,
+        gate=config.gate,
         own=config.own,
-        other_body=other_body,
-        triangle_area=config.triangle_area,
         seed=config.seed,
     )
-    pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
     if config.batch is not None:
-        _drape_batch(Batch(Path(str(config.out)), requests, targets, _options(config)), studio, pose, look)
+        folder = Path(str(config.out))
+        _drape_batch(session, Batch(folder, requests, targets, treatment, look, pose, _options(config)), clock)
         return
     (request,), (target,) = requests, targets
-    draped = studio.drape(request)
-    if pose is not None:
-        draped = studio.pose(draped, pose)
-    written = target.write(draped, request, look, clock)
-    say(*draped.lines, *(f"wrote    {path}" for path in written), clock)
+    dressed, remarks = answer(session, request, treatment, clock, pose)
+    written = target.write(dressed, request.name, look, clock)
+    say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written), clock)
 
 
-def _drape_batch(batch: Batch, studio: Studio, pose: np.ndarray | None, look: Look) -> None:
-    """All rows; the exit code is 1 where one failed."""
-    batch.check(studio)
-    failed = batch.run(studio, pose, look, studio.clock)
-    say(f"wrote    {batch.folder / TABLE}", studio.clock)
+def _drape_batch(session: Session, batch: Batch, clock: Clock) -> None:
+    """All rows; raises where one failed, after the others are done."""
+    batch.check(session)
+    failed = batch.run(session, clock)
+    say(f"wrote    {batch.folder / TABLE}", clock)
     if failed:
         raise ValueError(f"{len(failed)} of {len(batch.requests)} rows failed: {', '.join(failed)}; see {TABLE}")
+
+
+def _area(config: Config) -> float | None:
+    """Mean area of the cloth's triangles, square metres."""
+    if config.triangle_area is None:
+        return None
+    return 1e-4 * check_range("triangle area", config.triangle_area, 0.1, 30.0, "cm^2")
 
 
 def _options(config: Config) -> str:
@@ -147,8 +146,7 @@ def _plan(config: Config, look: Look) -> tuple[list[Request], list[Target]]:
         check_range("--refine", config.refine[0], 1, 10_000, "steps")
     if config.refine is not None and config.simulate:
         raise ValueError("give either --refine or --simulate: one starts from the learned drape, the other without")
-    if config.triangle_area is not None:
-        check_area(config.triangle_area)
+    _area(config)
     if config.smpl is not None and config.pose is not None:
         raise ValueError("--pose is for the networks' body; leave it out with --smpl")
     planned = _plan_one(config) if config.batch is None else _plan_batch(config, config.batch)

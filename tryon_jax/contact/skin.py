@@ -49,13 +49,9 @@ class Skin:
     Hands and feet are left out: simulated cloth slides over a smooth proxy there, not over fingers and toes.
     """
 
-    def __init__(self, body: Body, vertices: Float[np.ndarray, "B 3"]) -> None:
-        """Prepare the skin of `body` with its vertices at these places, metres.
-
-        Raises:
-            ValueError: The body's mesh is not closed.
-        """
-        self._surface = ClosedSurface(vertices, np.asarray(body.faces))
+    def __init__(self, body: Body, surface: ClosedSurface) -> None:
+        """Prepare the skin of `body`, which is `surface` in this shape."""
+        self._surface = surface
         self._left_out = extremity_vertices(body)
 
     @classmethod
@@ -65,7 +61,8 @@ class Skin:
         Raises:
             ValueError: The body's mesh is not closed, or the number of betas is not its own.
         """
-        return cls(body, np.asarray(_shape(body, check_betas(body, betas))[0]))
+        vertices = np.asarray(_shape(body, check_betas(body, betas))[0])
+        return cls(body, ClosedSurface(vertices, np.asarray(body.faces)))
 
     def signed_distances(self, points: Float[np.ndarray, "P 3"]) -> Float[np.ndarray, " P"]:
         """Distance of each point from the skin, metres, negative inside; infinite beside hands and feet.

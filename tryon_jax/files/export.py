@@ -25,7 +25,7 @@ from tryon_jax.types import ArrayLike
 
 @dataclass(frozen=True)
 class Material:
-    """A physically based material: sRGB base colour in 0 to 1, roughness in 0 to 1; metals are not worn here."""
+    """A physically based material: sRGB base colour in 0 to 1, roughness in 0 to 1, never metallic."""
 
     color: tuple[float, float, float]
     roughness: float
@@ -33,8 +33,8 @@ class Material:
     """Whether the back of faces is seen, as inside a skirt."""
 
 
-SKIN = Material(color=(0.80, 0.64, 0.55), roughness=0.6, double_sided=False)
-CLOTH = Material(color=(0.30, 0.42, 0.58), roughness=0.9, double_sided=True)
+SKIN = Material(color=(0.76, 0.64, 0.565), roughness=0.6, double_sided=False)
+CLOTH = Material(color=(0.29, 0.43, 0.58), roughness=0.9, double_sided=True)
 
 
 @dataclass(frozen=True)

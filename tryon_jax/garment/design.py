@@ -55,6 +55,11 @@ class DesignSpace:
         return tuple(self.layout.presets)
 
     @property
+    def middle(self) -> Float[np.ndarray, " P"]:
+        """The middle of each parameter's range, metres."""
+        return 0.5 * (self.maximum + self.minimum)
+
+    @property
     def mean_design(self) -> Design:
         """The design with every parameter at its mean."""
         return Design(self.names, self.mean.copy(), "mean")

@@ -1,8 +1,12 @@
 """The committed list of training and test designs and topologies."""
 
+import functools
 import tomllib
 from dataclasses import dataclass
 from importlib import resources
+
+import numpy as np
+from scipy.stats import qmc
 
 from tryon_jax.checks import check_choice
 from tryon_jax.garment.design import Design, DesignSpace, load_design_space
@@ -46,6 +50,10 @@ class Manifest:
         check_choice("design", label, [d.label for d in self.designs])
         return next(d for d in self.designs if d.label == label)
 
+    def first_topology(self, garment: str) -> str:
+        """The garment of the same design in its first topology, whose drapes those of the others start from."""
+        return f"{garment.rsplit('-', 1)[0]}-{self.training_seeds[0]}"
+
     def split(self, label: str, seed: int) -> str:
         """ "training" for garments that may be trained on, otherwise "test".
 
@@ -58,18 +66,33 @@ class Manifest:
         return "training" if f"{self.design(label).label}-{seed}" in self.training_garments() else "test"
 
 
+@functools.cache
 def load_manifest() -> Manifest:
     """Read the manifest that comes with the library (data/designs.toml)."""
     file = resources.files("tryon_jax") / "data" / "designs.toml"
     data = tomllib.loads(file.read_text(encoding="utf-8"))
     space = load_design_space(data["layout"])
+    unseen = tuple(space.design(label, **values) for label, values in data["unseen"].items())
+    additional = _spread(space, unseen, **data["additional"])
+    every = data["validation_every"]
     return Manifest(
         space,
         tuple(space.design(label, **values) for label, values in data["training"].items()),
-        tuple(space.design(label, **values) for label, values in data["additional"].items()),
-        tuple(data["validation"]),
-        tuple(space.design(label, **values) for label, values in data["unseen"].items()),
+        additional,
+        tuple(design.label for design in additional[every - 1 :: every]),
+        unseen,
         tuple(data["topologies"]["training"]),
         tuple(data["topologies"]["test"]),
         float(data["target_area"]),
     )
+
+
+def _spread(space: DesignSpace, unseen: tuple[Design, ...], count: int, clearance: float) -> tuple[Design, ...]:
+    """Designs evenly over a space, in whole centimetres, none within `clearance` metres of an unseen one."""
+    far = np.stack([design.values for design in unseen])
+    designs: list[Design] = []
+    for point in qmc.Sobol(len(space.names), scramble=False).random_base2(int(np.ceil(np.log2(4 * count)))):
+        values = np.round(space.minimum + point * (space.maximum - space.minimum), 2)
+        if len(designs) < count and np.linalg.norm(far - values, axis=1).min() > clearance:
+            designs.append(space.from_values(values, f"additional-{len(designs)}"))
+    return tuple(designs)

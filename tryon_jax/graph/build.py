@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.graph.buckets import bucket_for_levels
 from tryon_jax.graph.coarsen import coarsen
-from tryon_jax.graph.laplacian import scaled_laplacian
+from tryon_jax.graph.laplacian import Normalisation, scaled_laplacian
 from tryon_jax.graph.operator import SparseOperator, make_operator
 from tryon_jax.graph.pooling import Pooling, down_matrix, up_matrix
 from tryon_jax.mesh.topology import unique_edges
@@ -18,6 +18,7 @@ from tryon_jax.types import ArrayLike, Body, pytree
 
 NUM_LEVELS = 5
 """Levels of a hierarchy by default: the full graph and four halvings."""
+_BLENDED = 8
 
 
 @pytree
@@ -48,7 +49,7 @@ class GarmentGraph:
     faces: Int[ArrayLike, "*batch F 3"]
     """Triangles, padded with (0, 0, 0) to F = 2 N."""
     skinning_weights: Float[ArrayLike, "*batch N J"]
-    """Skinning weights of the closest body vertex on the mean body; zero at padded nodes."""
+    """Skinning weights of the closest body vertices on the mean body (`blend_skinning`); zero at padded nodes."""
     body_vertices: Int[ArrayLike, "*batch N"]
     """Closest vertex of the mean body; zero at padded nodes."""
     mask: Bool[ArrayLike, "*batch N"]
@@ -63,8 +64,21 @@ class GarmentGraph:
 
 
 def closest_body_vertices(vertices: Float[np.ndarray, "V 3"], body: Body) -> Int[np.ndarray, " V"]:
-    """Closest vertex of the mean body; its skinning weights describe the node (section 4.2 of the paper)."""
+    """Closest vertex of the mean body."""
     return cKDTree(np.asarray(body.v_template)).query(vertices)[1]
+
+
+def blend_skinning(vertices: Float[np.ndarray, "V 3"], body: Body) -> Float[np.ndarray, "V J"]:
+    """Skinning weights near each vertex on the mean body, which describe the node (section 4.2 of the paper).
+
+    The paper takes those of the closest body vertex. They jump where another one becomes the closest, so that rounding
+    could move a drape; here the eight closest are blended by weights that fade to zero at the ninth's distance.
+    """
+    count = min(_BLENDED + 1, len(body.v_template))
+    distance, index = cKDTree(np.asarray(body.v_template)).query(vertices, k=np.arange(1, count + 1))
+    blend = (1.0 - distance[:, :-1] / np.maximum(distance[:, -1:], 1e-12)) ** 2 + 1e-12
+    blend /= blend.sum(axis=1, keepdims=True)
+    return np.einsum("vk,vkj->vj", blend, np.asarray(body.lbs_weights)[index[:, :-1]])
 
 
 def build_graph(
@@ -75,6 +89,8 @@ def build_graph(
     num_levels: int = NUM_LEVELS,
     pooling: Pooling = "average",
     bucket: int | None = None,
+    pattern: Float[np.ndarray, "V 3"] | None = None,
+    laplacian: Normalisation = "random-walk",
     dtype: np.dtype | type = np.float32,
 ) -> GarmentGraph:
     """Laplacians, pooling hierarchy and node features of a garment on the mean body, padded to a size bucket.
@@ -86,6 +102,10 @@ def build_graph(
         num_levels: Resolutions, the finest included.
         pooling: How coarse nodes gather features, see `down_matrix`.
         bucket: Number of nodes to pad to; chosen by `bucket_size` when None.
+        pattern: The same vertices before draping, metres (`tryon_jax.garment.placement`): the pooling hierarchy is
+            built from them, since the costs of edge collapses tie or nearly tie all over a garment, and the last bits
+            of a predicted mean drape would choose between them. By default the vertices themselves.
+        laplacian: Normalisation of the graph Laplacians.
         dtype: Of all floating-point arrays. The vertices are rounded to it before anything is built from them, so
             that equal graphs come from equal stored vertices.
 
@@ -99,14 +119,13 @@ def build_graph(
         raise ValueError(
             f"faces refer to vertex {faces.max()} (or {faces.min()}), but there are {num_vertices} vertices"
         )
-    # The hierarchy is that of the vertices as the graph keeps them: mirrored patterns are full of equal collapse costs,
-    # and the last bits of finer positions would choose between them.
     points = np.asarray(vertices, dtype).astype(np.float64)
     laplacians, downs, ups = [], [], []
-    level_points, level_faces = points, np.asarray(faces, np.int64)
+    level_points = points if pattern is None else np.asarray(pattern, np.float64)
+    level_faces = np.asarray(faces, np.int64)
     for level in range(num_levels):
         edges, _ = unique_edges(level_faces, len(level_points))
-        laplacians.append(scaled_laplacian(edges, len(level_points))[0])
+        laplacians.append(scaled_laplacian(edges, len(level_points), laplacian)[0])
         if level + 1 < num_levels:
             coarse = coarsen(level_points, level_faces)
             down = down_matrix(coarse, pooling)
@@ -114,7 +133,7 @@ def build_graph(
             ups.append(up_matrix(level_points, down @ level_points, coarse.faces, coarse.cluster))
             downs.append(down)
             level_points, level_faces = level_points[coarse.kept], coarse.faces
-    sizes = [laplacian.shape[0] for laplacian in laplacians]
+    sizes = [matrix.shape[0] for matrix in laplacians]
     needed = bucket_for_levels(sizes)
     size = bucket or needed
     if any(n > size >> level for level, n in enumerate(sizes)) or size % (1 << (num_levels - 1)):
@@ -125,7 +144,6 @@ def build_graph(
         )
         for i in range(num_levels)
     )
-    nearest = closest_body_vertices(points, body)
     capacity = 2 * size
     while capacity < len(faces):
         capacity *= 2
@@ -133,8 +151,8 @@ def build_graph(
         levels=levels,
         vertices=pad_rows(points, size, dtype),
         faces=pad_rows(np.asarray(faces), capacity, np.int32),
-        skinning_weights=pad_rows(np.asarray(body.lbs_weights)[nearest], size, dtype),
-        body_vertices=pad_rows(nearest, size, np.int32),
+        skinning_weights=pad_rows(blend_skinning(points, body), size, dtype),
+        body_vertices=pad_rows(closest_body_vertices(points, body), size, np.int32),
         mask=np.arange(size) < num_vertices,
         num_vertices=np.asarray(num_vertices, np.int32),
     )
@@ -158,7 +176,16 @@ def _pad_level(
     half = size // 2
     tail = (max(size // 8, 1), 4)
     return GraphLevel(
-        laplacian=make_operator(laplacian, (size, size), slots=7, tail=tail, dtype=dtype),
+        laplacian=make_operator(
+            laplacian,
+            (size, size),
+            slots=7,
+            tail=tail,
+            transposed_slots=7,
+            transposed_tail=tail,
+            split_diagonal=True,
+            dtype=dtype,
+        ),
         down=None
         if down is None
         else make_operator(down, (half, size), slots=4, tail=(max(half // 8, 1), 4), transposed_slots=1, dtype=dtype),

@@ -1,5 +1,7 @@
 """The graph of a mesh and its scaled normalised Laplacian (Defferrard et al. 2016, section 2.1)."""
 
+from typing import Literal
+
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
@@ -7,6 +9,10 @@ from scipy.sparse.linalg import ArpackNoConvergence, eigsh
 
 # Below this the dense solver is faster than starting Lanczos, and Lanczos needs more vectors than there are.
 _DENSE_BELOW = 64
+
+Normalisation = Literal["random-walk", "symmetric"]
+"""random-walk: L = I − D^{−1} A, which maps constants to zero: irregular vertices see what their neighbours see.
+symmetric: L = I − D^{−1/2} A D^{−1/2}, as in Defferrard et al. Both have the same spectrum."""
 
 
 def normalised_laplacian(edges: Int[np.ndarray, "E 2"], num_nodes: int) -> sp.csr_array:
@@ -45,14 +51,25 @@ def largest_eigenvalue(laplacian: sp.csr_array, tolerance: float = 1e-4) -> floa
     return min(float(value) * (1.0 + 0.5 * tolerance), 2.0)
 
 
-def scaled_laplacian(edges: Int[np.ndarray, "E 2"], num_nodes: int) -> tuple[sp.csr_array, float]:
-    """L̃ = 2 L / λ_max − I, with spectrum in [−1, 1], and λ_max (computed, not assumed)."""
+def scaled_laplacian(
+    edges: Int[np.ndarray, "E 2"], num_nodes: int, normalisation: Normalisation = "random-walk"
+) -> tuple[sp.csr_array, float]:
+    """L̃ = 2 L / λ_max − I, with spectrum in [−1, 1], and λ_max (computed, not assumed).
+
+    Args:
+        edges: Pairs of nodes, without loops or repetitions.
+        num_nodes: Number of nodes N.
+        normalisation: See `Normalisation`.
+    """
     laplacian = normalised_laplacian(edges, num_nodes)
     bound = largest_eigenvalue(laplacian)
+    if normalisation == "random-walk":
+        root = null_vector(edges, num_nodes)
+        laplacian = sp.diags_array(1.0 / root) @ laplacian @ sp.diags_array(root)
     return (laplacian * (2.0 / bound) - sp.eye_array(num_nodes, format="csr")).tocsr(), bound
 
 
 def null_vector(edges: Int[np.ndarray, "E 2"], num_nodes: int) -> Float[np.ndarray, " V"]:
-    """D^{1/2} 1, which L maps to zero (and L̃ to its negative); 1 at nodes without an edge."""
+    """D^{1/2} 1, which the symmetric L maps to zero (and L̃ to its negative); 1 at nodes without an edge."""
     degree = np.bincount(edges.ravel(), minlength=num_nodes)
     return np.sqrt(np.maximum(degree, 1.0))

@@ -137,13 +137,14 @@ def make_operator(
     tail: tuple[int, int] = (1, 1),
     transposed_slots: int | None = None,
     transposed_tail: tuple[int, int] = (1, 1),
+    split_diagonal: bool = False,
     dtype: np.dtype | type = np.float32,
 ) -> SparseOperator:
     """Prepare a sparse matrix [m, n] for `apply_operator`, padded with zeros to `shape` (M, N); host side.
 
     `slots` and `tail` = (rows, entries) are capacities: a matrix that does not fit gets larger ones, which is
     correct but compiles anew. `transposed_slots` None says that the matrix is symmetric (checked); its diagonal
-    is then kept apart.
+    is then kept apart, as it is for other square matrices with `split_diagonal`.
 
     Raises:
         ValueError: `shape` is smaller than the matrix, or the matrix was said to be symmetric and is not.
@@ -153,18 +154,23 @@ def make_operator(
     if rows < csr.shape[0] or columns < csr.shape[1]:
         raise ValueError(f"an operator of shape {csr.shape} does not fit into the padded shape {(rows, columns)}")
     dtype = np.dtype(dtype)
-    if transposed_slots is not None:
-        forward = _csr_to_lists(csr, rows, slots, tail, dtype)
-        backward = _csr_to_lists(csr.T.tocsr(), columns, transposed_slots, transposed_tail, dtype)
-        return SparseOperator(forward, backward, None, (rows, columns))
-    if rows != columns or abs(csr - csr.T).max() > 1e-12 * abs(csr).max():
+    symmetric = transposed_slots is None
+    if (symmetric or split_diagonal) and rows != columns:
+        raise ValueError(f"an operator of shape {(rows, columns)} is not square: it has no diagonal to keep apart")
+    if symmetric and abs(csr - csr.T).max() > 1e-12 * abs(csr).max():
         raise ValueError("an operator without transposed lists must be symmetric")
-    diagonal = np.zeros(rows, dtype)
-    diagonal[: csr.shape[0]] = csr.diagonal()
-    off = csr.copy()
-    off.setdiag(0)
-    off.eliminate_zeros()
-    return SparseOperator(_csr_to_lists(off, rows, slots, tail, dtype), None, diagonal, (rows, columns))
+    diagonal = None
+    if symmetric or split_diagonal:
+        diagonal = np.zeros(rows, dtype)
+        diagonal[: csr.shape[0]] = csr.diagonal()
+        csr = csr.copy()
+        csr.setdiag(0)
+        csr.eliminate_zeros()
+    forward = _csr_to_lists(csr, rows, slots, tail, dtype)
+    if transposed_slots is None:
+        return SparseOperator(forward, None, diagonal, (rows, columns))
+    backward = _csr_to_lists(csr.T.tocsr(), columns, transposed_slots, transposed_tail, dtype)
+    return SparseOperator(forward, backward, diagonal, (rows, columns))
 
 
 def _as_csr(matrix: sp.sparray | BCOO) -> sp.csr_array:

@@ -57,10 +57,8 @@ class MeshSearch:
         # Where even the closest centre is farther than that, a rough answer will do.
         first, part = self._centres.query(points, k=1)
         self._try(points, np.arange(len(points)), first[:, None], part[:, None], distance, face, weights)
-        open_rows, count = (
-            np.flatnonzero((first - self._most < exact_below) & (exact_below > 0)),
-            min(_FIRST, len(self._part_of)),
-        )
+        open_rows = np.flatnonzero((first - self._most < exact_below) & (exact_below > 0))
+        count = min(_FIRST, len(self._part_of))
         while len(open_rows):
             # Where the closest centre is farther than bound + reach, so is every triangle.
             limit = np.full(len(open_rows), np.inf)

@@ -1,7 +1,7 @@
 """Networks on garment graphs: Chebyshev convolution, graph U-Net, the mean-drape regressor and parameter stores."""
 
 from tryon_jax.nets.cheb import ChebConv, cheb_conv, init_cheb_conv
-from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, load_config
+from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, load_config, paper_form
 from tryon_jax.nets.mlp import MLP, MeanDrape, apply_mean_drape, apply_mlp, init_mean_drape, init_mlp
 from tryon_jax.nets.unet import UNet, UNetConfig, apply_unet, count_parameters, init_unet
 
@@ -24,4 +24,5 @@ __all__ = [
     "init_mlp",
     "init_unet",
     "load_config",
+    "paper_form",
 ]

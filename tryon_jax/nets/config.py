@@ -5,10 +5,12 @@ from typing import Literal
 
 from tryon_jax.checks import check_choice
 from tryon_jax.graph.build import NUM_LEVELS
+from tryon_jax.graph.laplacian import Normalisation
 from tryon_jax.graph.pooling import Pooling
 from tryon_jax.nets.unet import UNetConfig
 
 Reference = Literal["smoothed", "paper"]
+Conditioning = Literal["fields", "node"]
 
 
 @dataclass(frozen=True)
@@ -35,16 +37,33 @@ class TryOnConfig:
     """Skinning weights per node."""
     fabrics: tuple[str, ...] = ("gray-interlock",)
     """One R_fine each."""
+    conditioning: Conditioning = "fields"
+    """How the body's shape enters. fields: the networks see the garment alone and predict displacement fields; a
+    perceptron of the betas weights their sum, so that a new body costs one product. node: the betas are features of
+    every node, and each body costs a pass of the networks (section 4 of the paper)."""
+    fields: int = 24
+    """Displacement fields K of each network, with `conditioning="fields"`."""
+    coefficient_widths: tuple[int, ...] = (64, 64)
+    """Hidden layers of the perceptron from betas to coefficients."""
+    beta_periods: tuple[float, ...] = (8.0, 4.0, 2.0)
+    """Periods of sines and cosines of the betas that it sees beside them."""
+    wavelengths: tuple[float, ...] = (0.8, 0.4, 0.2, 0.1, 0.05)
+    """Wavelengths, metres, of sines and cosines of the mean drape's positions among the node features."""
+    design_features: bool = True
+    """The design's parameters are features of every node; zeros, the middle of the space, for a mesh without one."""
+    num_parameters: int = 3
+    """Active design parameters."""
     reference: Reference = "smoothed"
     """What R_smooth's displacement is added to: "paper": M̄ (section 4.2); "smoothed": the smoothed M̄, whose detail
     is added back before R_fine's displacement, so that neither network has to learn the smoothing."""
     fine_betas: bool = True
-    """R_fine sees the betas too, not only positions and skinning weights."""
+    """With `conditioning="node"`, R_fine sees the betas too, not only positions and skinning weights."""
     fine_detail: bool = True
     """R_fine sees the detail of the mean drape, M̄ − smooth(M̄)."""
     smoothing_length: float = 0.02
     """Length of the Laplacian smoothing that separates smooth from fine, metres."""
     pooling: Pooling = "average"
+    laplacian: Normalisation = "random-walk"
     num_levels: int = NUM_LEVELS
     """Resolutions of a graph; at least as many as the deeper network has."""
     position_scale: float = 0.3
@@ -57,14 +76,32 @@ class TryOnConfig:
     """Detail is divided by this, metres."""
 
     @property
+    def position_features(self) -> int:
+        """Node features of both networks that do not depend on the body: position, its waves, skinning, design."""
+        waves = 6 * len(self.wavelengths)
+        return 3 + self.num_joints + waves + self.num_parameters * self.design_features
+
+    @property
     def smooth_features(self) -> int:
-        """Node features of R_smooth: position, skinning weights, betas."""
-        return 3 + self.num_joints + self.num_betas
+        """Node features of R_smooth."""
+        return self.position_features + self.num_betas * (self.conditioning == "node")
 
     @property
     def fine_features(self) -> int:
         """Node features of R_fine."""
-        return 3 + self.num_joints + self.num_betas * self.fine_betas + 3 * self.fine_detail
+        betas = self.num_betas * (self.fine_betas and self.conditioning == "node")
+        return self.position_features + betas + 3 * self.fine_detail
+
+    @property
+    def outputs(self) -> int:
+        """What each network predicts at a node: a displacement, or one for each field."""
+        return 3 * (self.fields if self.conditioning == "fields" else 1)
+
+
+def paper_form(config: TryOnConfig) -> TryOnConfig:
+    """The same sizes in the paper's form: betas at each node, no waves and no design among the features, symmetric
+    Laplacians."""
+    return replace(config, conditioning="node", wavelengths=(), design_features=False, laplacian="symmetric")
 
 
 SMALL = TryOnConfig(

@@ -137,7 +137,7 @@ def dress_many(
 ) -> list[Drape]:
     """`dressing.dress` for garments of one bucket on one body shape.
 
-    A lane whose simulation leaves the numbers comes back with a residual that is not finite; the others are unharmed.
+    A lane that diverges comes back with a residual that is not finite; the others are unharmed.
 
     Raises:
         ValueError: the cloths are of different buckets.
@@ -157,6 +157,33 @@ def dress_many(
     return _settle_many(lanes, stacked, cloth_fabrics, settings, goal, max_steps, refresh, None).split()
 
 
+def relax_many(
+    starts: Sequence[Float[np.ndarray, "_ 3"]],
+    slips: Sequence[Float[np.ndarray, "_ 3"]],
+    betas: Float[np.ndarray, "B b"],
+    cloths: Sequence[Cloth],
+    fabrics: Sequence[Fabric],
+    obstacle: Obstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+    max_steps: int = 200,
+) -> list[Drape]:
+    """`dressing.relax` for garments of one bucket, each on its own body shape.
+
+    A lane that diverges comes back with a residual that is not finite; the others are unharmed.
+
+    Raises:
+        ValueError: The cloths are of different buckets.
+    """
+    surfaces = [obstacle.surface(shape) for shape in betas]
+    parts = zip(starts, cloths, surfaces, slips, strict=True)
+    states = stack([start_state(*part) for part in parts])
+    lanes = _Lanes(states, np.asarray(betas, float), surfaces, [], tuple(len(start) for start in starts))
+    goal, refresh = equilibrium.tolerance, equilibrium.refresh
+    stacked, cloth_fabrics = stack_cloths(cloths), stack_fabrics(fabrics)
+    return _settle_many(lanes, stacked, cloth_fabrics, settings, goal, max_steps, refresh, None).split()
+
+
 def sweep_many(
     drapes: Sequence[Drape],
     rays: Float[np.ndarray, "B N b"],
@@ -168,7 +195,7 @@ def sweep_many(
 ) -> Iterator[list[Drape]]:
     """`dressing.sweep` for garments of one bucket, each along its own ray; yields all lanes at each shape.
 
-    A lane whose simulation leaves the numbers comes back with a residual that is not finite; the others are unharmed.
+    A lane that diverges comes back with a residual that is not finite; the others are unharmed.
 
     Raises:
         ValueError: the cloths are of different buckets.

@@ -32,7 +32,7 @@ _sample_points = jax.jit(sample_points)
 
 
 class Diverged(ValueError):
-    """The simulation left the numbers: a broken mesh, or a body that the garment cannot be put on."""
+    """Positions or forces became infinite: a broken mesh, or a body that the garment cannot be put on."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def dress(
         self_contact: keeps the cloth from passing through itself; None leaves it out (see `physics.self_contact`).
 
     Raises:
-        Diverged: the simulation left the numbers (a garment that cannot be dressed, or a broken mesh).
+        Diverged: positions or forces became infinite (a garment that cannot be dressed, or a broken mesh).
     """
     settings = closing(settings)
     shape = np.asarray(betas, float)
@@ -122,6 +122,42 @@ def dress(
     zero = jnp.zeros_like(drape.state.x)
     drape = replace(drape, state=replace(drape.state, velocity=zero, slip=zero))
     refresh, goal = equilibrium.refresh, equilibrium.tolerance
+    return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
+
+
+def relax(
+    start: Float[np.ndarray, "V 3"],
+    slip: Float[np.ndarray, "V 3"],
+    betas: Float[np.ndarray, " b"],
+    cloth: Cloth,
+    fabric: Fabric,
+    obstacle: Obstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+    max_steps: int = 200,
+    self_contact: SelfContact | None = None,
+) -> Drape:
+    """Bring a garment to rest from positions near a drape, such as those of another mesh or design.
+
+    Args:
+        start: Positions of the welded vertices, metres.
+        slip: Elastic slip of friction at the same vertices, metres.
+        betas: Shape of the body.
+        cloth: The garment's rest state.
+        fabric: Its fabric.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When it counts as at rest.
+        max_steps: Steps in all.
+        self_contact: As in `dress`.
+
+    Raises:
+        Diverged: Positions or forces became infinite.
+    """
+    shape = np.asarray(betas, float)
+    surface = obstacle.surface(shape)
+    drape = Drape(start_state(start, cloth, surface, slip), shape, surface, _no_report(), len(start))
+    goal, refresh = equilibrium.tolerance, equilibrium.refresh
     return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
 
 
@@ -138,7 +174,7 @@ def follow(
     """Carry a drape to another body shape nearby and let it come to rest.
 
     Raises:
-        Diverged: the simulation left the numbers.
+        Diverged: positions or forces became infinite.
     """
     surface = obstacle.surface(np.asarray(betas, float))
     motion = jnp.asarray(surface.vertices) - jnp.asarray(drape.surface.vertices)
@@ -163,12 +199,18 @@ def sweep(
         yield drape
 
 
-def start_state(start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface) -> ClothState:
-    """A cloth at rest at `start` (metres, without padding), its padding far away."""
+def start_state(
+    start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface, slip: Float[np.ndarray, "_ 3"] | None = None
+) -> ClothState:
+    """A cloth without velocity at `start` (metres, without padding), its padding far away; no `slip` by default."""
     x = np.full((cloth.vertex_areas.shape[0], 3), FAR_AWAY, np.float32)
     x[: len(start)] = start
-    x = jnp.asarray(x)
-    return resting(x, _faces(surface, x, cloth))
+    state = resting(jnp.asarray(x), _faces(surface, jnp.asarray(x), cloth))
+    if slip is None:
+        return state
+    padded = np.zeros_like(x)
+    padded[: len(slip)] = slip
+    return replace(state, slip=jnp.asarray(padded))
 
 
 def closing(settings: SolverSettings) -> SolverSettings:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from tryon_jax.checks import check_choice, check_finite, check_range
+from tryon_jax.files.export import CLOTH, SKIN
 from tryon_jax.render.camera import Camera, view_angle
 from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, to_image
@@ -19,11 +20,6 @@ Mesh = tuple[ArrayLike, ArrayLike]
 Paint = Float[ArrayLike, "V 3"] | Sequence[float]
 """sRGB in 0 to 1: one colour for each vertex, or one for all."""
 
-SKIN = (0.76, 0.64, 0.565)
-"""Colour of a body without colours of its own."""
-CLOTH = (0.29, 0.43, 0.58)
-"""Colour of a garment without colours of its own."""
-
 # Metres of air around the subject.
 _MARGIN = 0.09
 
@@ -35,8 +31,8 @@ def render_picture(
     *,
     views: Sequence[str | float] = ("front", "side", "back"),
     height: int = 900,
-    body_colors: Paint = SKIN,
-    garment_colors: Paint = CLOTH,
+    body_colors: Paint = SKIN.color,
+    garment_colors: Paint = CLOTH.color,
     scale: ColorScale | None = None,
     crop: str = "body",
 ) -> None:
@@ -79,8 +75,8 @@ def draw(
     *,
     views: Sequence[str | float] = ("front", "side", "back"),
     height: int = 900,
-    body_colors: Paint = SKIN,
-    garment_colors: Paint = CLOTH,
+    body_colors: Paint = SKIN.color,
+    garment_colors: Paint = CLOTH.color,
     crop: str = "body",
     focus: Float[np.ndarray, "N 3"] | None = None,
 ) -> Float[np.ndarray, "H W 3"]:

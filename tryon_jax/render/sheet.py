@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tryon_jax.files.export import CLOTH, SKIN
 from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, to_image, write_words
-from tryon_jax.render.picture import CLOTH, SKIN, Mesh, Paint, background, draw, focus_points
+from tryon_jax.render.picture import Mesh, Paint, background, draw, focus_points
 from tryon_jax.render.scene import srgb_value
 
 
@@ -19,8 +20,8 @@ class SheetItem:
     body: Mesh
     garment: Mesh | None = None
     title: str = ""
-    garment_colors: Paint = CLOTH
-    body_colors: Paint = SKIN
+    garment_colors: Paint = CLOTH.color
+    body_colors: Paint = SKIN.color
 
 
 def contact_sheet(

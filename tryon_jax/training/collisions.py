@@ -19,12 +19,20 @@ from tqdm import tqdm
 from tryon_jax.body import shape_body, vertex_normals
 from tryon_jax.contact.collision_loss import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
-from tryon_jax.nets.unet import UNet
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stages import Distance, StageBatch, map_garments, predict_fine, predict_smooth, stage_loss
-from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, prepare_mesh, stack_garments
+from tryon_jax.training.stages import Distance, StageBatch, StageWeights, map_garments, stage_loss
+from tryon_jax.tryon import (
+    Garment,
+    Stage,
+    TryOnModel,
+    config_space,
+    fine_stage,
+    prepare_mesh,
+    smooth_stage,
+    stack_garments,
+)
 from tryon_jax.types import ArrayLike, pytree
 
 COLLISION_WEIGHT = 100.0
@@ -113,30 +121,32 @@ class CollisionTask:
         self.model, self.fabric, self.options = model, fabric, options
         self.start = model.fine[fabric]
         self.neighbours = list_neighbours(model.body)
-        self._count = jax.jit(lambda net, pooled, betas: self._inside(net, pooled, betas))
+        self._count = jax.jit(lambda weights, pooled, betas: self._inside(weights, pooled, betas))
 
     def body(self, betas: Float[Array, " b"]) -> tuple[Float[Array, "W 3"], Float[Array, "W 3"]]:
         """Vertices and normals of the body."""
         vertices = shape_body(self.model.body, betas)[0]
         return vertices, vertex_normals(vertices, self.model.body.faces)
 
-    def loss(self, net: UNet, batch: CollisionBatch | StageBatch) -> Float[Array, ""]:
+    def loss(self, weights: StageWeights, batch: CollisionBatch | StageBatch) -> Float[Array, ""]:
         """Collision loss over the margin, plus the anchor; of simulated drapes, the distance from them."""
         if isinstance(batch, StageBatch):
-            stage, distance = Stage(net, self.start.scale), self.options.distance
+            stage, distance = weights.of(self.start), self.options.distance
             units = jnp.asarray(self.start.scale) / self.options.margin
             in_margins = 3 * units * units if distance == "squared" else units
             return in_margins * stage_loss(self.model.config, "fine", stage, batch, distance)
-        return map_garments(lambda p, b: self._garment_loss(net, p, b), batch.pooled, batch.betas).mean()
+        return map_garments(lambda p, b: self._garment_loss(weights, p, b), batch.pooled, batch.betas).mean()
 
-    def _garment_loss(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, ""]:
+    def _garment_loss(
+        self, weights: StageWeights, pooled: PooledGarment, betas: Float[Array, "B b"]
+    ) -> Float[Array, ""]:
         config, options = self.model.config, self.options
         garment, mask = pooled.garment, jnp.asarray(pooled.garment.graph.mask)
-        smooth = predict_smooth(config, self.model.smooth, garment, betas)
-        fine = predict_fine(config, Stage(net, self.start.scale), garment, betas, smooth)
+        smooth = smooth_stage(config, self.model.smooth, garment, betas)
+        fine = fine_stage(config, weights.of(self.start), garment, betas, smooth)
         anchor = jnp.zeros(())
         if options.anchor:
-            before = predict_fine(config, self.start, garment, betas, smooth)
+            before = fine_stage(config, self.start, garment, betas, smooth)
             moved = jnp.where(mask[None, :, None], fine - before, 0.0) / options.margin
             anchor = options.anchor * (moved * moved).sum() / (mask.sum() * len(betas))
 
@@ -149,10 +159,10 @@ class CollisionTask:
 
         return jax.vmap(one)(fine, betas).mean() / options.margin * COLLISION_WEIGHT + anchor
 
-    def _inside(self, net: UNet, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
+    def _inside(self, weights: StageWeights, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
         config, garment = self.model.config, pooled.garment
-        smooth = predict_smooth(config, self.model.smooth, garment, betas)
-        fine = predict_fine(config, Stage(net, self.start.scale), garment, betas, smooth)
+        smooth = smooth_stage(config, self.model.smooth, garment, betas)
+        fine = fine_stage(config, weights.of(self.start), garment, betas, smooth)
         mask = jnp.asarray(garment.graph.mask)
 
         def one(vertices, beta):
@@ -164,13 +174,13 @@ class CollisionTask:
 
         return jax.vmap(one)(fine, betas)
 
-    def inside_share(self, net: UNet, pool: Sequence[PooledGarment], seed: int) -> float:
+    def inside_share(self, weights: StageWeights, pool: Sequence[PooledGarment], seed: int) -> float:
         """Share of vertices behind their closest body vertex, over a pool and fixed random shapes."""
         rng = np.random.default_rng(seed)
         shares = []
         for pooled in pool:
             betas = random_betas(rng, self.options.shapes, self.model.config.num_betas)
-            shares.append(np.asarray(self._count(net, pooled, betas)).mean())
+            shares.append(np.asarray(self._count(weights, pooled, betas)).mean())
         return float(np.mean(shares))
 
 

@@ -1,10 +1,12 @@
 """The simulated dataset on disk: what lies where, written whole or not at all, read with its splits enforced.
 
     ROOT/config.json                           what was asked for; a folder belongs to one configuration
+    ROOT/reference/<fabric>.npz                drape of the mean design, from which all others of a fabric are reached
+    ROOT/reference/guess.npz                   R_mean, by which starting positions of other designs are guessed
     ROOT/meshes/<garment>.npz                  faces, uv, faces_uv, template map of one topology
     ROOT/mean/<garment>_<fabric>.npz           drape on the mean body, with the state to continue from
-    ROOT/rays/<garment>_<fabric>_<ray>.npz     drapes along one ray: vertices [N, V, 3], betas, statistics
-    ROOT/templates/<number>.npz                drapes of the template on the mean body: for R_mean
+    ROOT/rays/<garment>_<fabric>_<ray>.npz     drapes along one ray: vertices and slip [N, V, 3], betas, statistics
+    ROOT/templates/<design>.npz                drapes of the template on the mean body: for R_mean
     ROOT/samples.csv                           the manifest: every sample, its split, whether it is kept, and why not
     ROOT/checksums.txt                         SHA-256 of every file, as `sha256sum` writes and checks it
 
@@ -54,7 +56,9 @@ class DatasetConfig:
     dense_vertices: int = 0
     """0: R_mean learns templates fitted to drapes at working density, averaged over the fabrics; else drapes of a dense
     mesh of so many vertices, downsampled, as in the paper (17,246 there)."""
-    version: int = 1
+    reference_vertices: int = 2400
+    """Vertices of the mesh on which the mean design is dressed (see `reference`)."""
+    version: int = 2
 
 
 def default_root() -> Path:
@@ -119,6 +123,16 @@ def remove_leftovers(root: Path, age: float = 3600.0) -> int:
     return len(old)
 
 
+def guess_path(root: Path) -> Path:
+    """File of the R_mean by which starting positions are guessed."""
+    return root / "reference" / "guess.npz"
+
+
+def reference_path(root: Path, fabric: str) -> Path:
+    """File of a fabric's reference drape."""
+    return root / "reference" / f"{fabric}.npz"
+
+
 def mesh_path(root: Path, garment: str) -> Path:
     """File of a garment's mesh."""
     return root / "meshes" / f"{garment}.npz"
@@ -134,9 +148,9 @@ def ray_path(root: Path, garment: str, fabric: str, ray: int) -> Path:
     return root / "rays" / f"{garment}_{fabric}_{ray:02d}.npz"
 
 
-def template_path(root: Path, number: int) -> Path:
-    """File of one template drape for R_mean."""
-    return root / "templates" / f"{number:04d}.npz"
+def template_path(root: Path, design: str) -> Path:
+    """File of one design's template drape for R_mean."""
+    return root / "templates" / f"{design}.npz"
 
 
 def save_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

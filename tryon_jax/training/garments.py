@@ -75,6 +75,8 @@ def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
         num_levels=config.num_levels,
         pooling=config.pooling,
         bucket=training_bucket(len(vertices)),
+        pattern=mesh["start"],
+        laplacian=config.laplacian,
     )
     size, count = graph.num_nodes, len(vertices)
     template_vertices, template_weights = np.zeros((size, 3), np.int32), np.zeros((size, 3), np.float32)

@@ -12,38 +12,12 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from tryon_jax.training.bench import Bench, fit_template
-from tryon_jax.training.plan import Task, batches, garment_names, plan, template_designs
-
-__all__ = [
-    "Bench",
-    "Task",
-    "batches",
-    "end_with_parent",
-    "fit_template",
-    "garment_names",
-    "plan",
-    "run_batch",
-    "run_task",
-    "template_designs",
-]
-
-
-def run_task(root: str, task: Task) -> str:
-    """Do a task unless its file exists; returns a line for the log ("" when there was nothing to do)."""
-    folder = Path(root)
-    if task.path(folder).exists():
-        return ""
-    bench = _bench(root)
-    if task.kind == "mean":
-        return bench.simulate_mean(task)
-    if task.kind == "ray":
-        return bench.simulate_ray(task)
-    return bench.simulate_template(task)
+from tryon_jax.training.plan import Task
+from tryon_jax.training.simulator import Simulator
 
 
 def run_batch(root: str, tasks: Sequence[Task]) -> str:
-    """Do those tasks whose files are missing side by side, which pays on a GPU; all of one kind (see `plan.batches`).
+    """Do those tasks of one kind whose files are missing, side by side where there are several (see `plan.batches`).
 
     Returns a line for the log ("" when there was nothing to do).
     """
@@ -51,10 +25,8 @@ def run_batch(root: str, tasks: Sequence[Task]) -> str:
     missing = [task for task in tasks if not task.path(folder).exists()]
     if not missing:
         return ""
-    bench = _bench(root)
-    work = {"mean": bench.simulate_means, "ray": bench.simulate_rays, "template": bench.simulate_templates}
-    lines = work[missing[0].kind](missing)
-    return f"{len(lines)} side by side, the last: {lines[-1]}"
+    lines = _simulator(root).run(missing)
+    return lines[0] if len(lines) == 1 else f"{len(lines)} side by side, the last: {lines[-1]}"
 
 
 def end_with_parent() -> None:
@@ -71,5 +43,5 @@ def end_with_parent() -> None:
 
 
 @functools.lru_cache(maxsize=1)
-def _bench(root: str) -> Bench:
-    return Bench(Path(root))
+def _simulator(root: str) -> Simulator:
+    return Simulator(Path(root))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.contact.skin import Skin
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.physics.cloth import Cloth
@@ -40,7 +41,9 @@ class Inspector:
         """
         if not np.isfinite(drape.vertices).all():
             return float("nan"), float("nan")
-        found = Skin(self.obstacle.body, self.obstacle.skin(drape.betas)).penetration(drape.vertices, faces)
+        body = self.obstacle.body
+        surface = ClosedSurface(self.obstacle.skin(drape.betas), np.asarray(body.faces))
+        found = Skin(body, surface).penetration(drape.vertices, faces)
         return -found.closest, found.surface
 
     def statistics(self, drape: Drape, faces: Int[np.ndarray, "F 3"], cloth: Cloth, fabric: Fabric) -> dict[str, float]:

@@ -7,10 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape, init_mean_drape
 from tryon_jax.training.dataset import is_good, load_arrays
+
+_SMALLEST_SCALE = 1e-3
+# A single design has no spread to take the unit of the output from.
 
 
 @dataclass(frozen=True)
@@ -23,30 +27,42 @@ class MeanTraining:
     """Full-batch steps; the weights with the smallest validation error are kept."""
     learning_rate: float = 0.01
     weight_decay: float = 3e-7
-    validation_every: int = 6
-    """Each so-many-th design of the sequence is held out to choose the weights by."""
     seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateSamples:
-    """Designs [N, P] and their drapes [N, 403, 3], metres."""
+    """Designs and their drapes."""
 
     designs: Float[np.ndarray, "N P"]
+    """Parameters, metres."""
     templates: Float[np.ndarray, "N T 3"]
+    """Template vertices, metres."""
+    held: Bool[np.ndarray, " N"]
+    """Designs that only choose the weights."""
+
+    def part(self, rows: Bool[np.ndarray, " N"]) -> "TemplateSamples":
+        """Some of the samples."""
+        return TemplateSamples(self.designs[rows], self.templates[rows], self.held[rows])
 
 
-def load_templates(root: Path) -> TemplateSamples:
-    """All good template drapes of a dataset.
+def load_templates(root: Path, manifest: Manifest) -> TemplateSamples:
+    """All good template drapes of a dataset; the manifest's validation designs are held out.
+
+    Without a validation design among them, every sixth is.
 
     Raises:
         FileNotFoundError: there is none.
     """
-    tables = [load_arrays(path) for path in sorted((root / "templates").glob("[!.]*.npz"))]
-    kept = [table for table in tables if bool(is_good(table))]
+    tables = {path.stem: load_arrays(path) for path in sorted((root / "templates").glob("[!.]*.npz"))}
+    kept = {label: table for label, table in tables.items() if bool(is_good(table))}
     if not kept:
         raise FileNotFoundError(f"no template drapes in {str(root)!r}: run `python -m experiments simulate` first")
-    return TemplateSamples(np.stack([t["design"] for t in kept]), np.stack([t["template"] for t in kept]))
+    held = np.isin(list(kept), manifest.validation)
+    if not held.any():
+        held = np.arange(len(kept)) % 6 == 5
+    designs, templates = (np.stack([table[key] for table in kept.values()]) for key in ("design", "template"))
+    return TemplateSamples(designs, templates, held)
 
 
 def mean_error(net: MeanDrape, samples: TemplateSamples) -> float:
@@ -70,16 +86,15 @@ def train_mean(
     Returns:
         the network and its curve (step, training loss, validation error in millimetres).
     """
-    held = np.arange(len(samples.designs)) % options.validation_every == options.validation_every - 1
-    train = TemplateSamples(samples.designs[~held], samples.templates[~held])
-    validation = TemplateSamples(samples.designs[held], samples.templates[held]) if held.any() else train
+    train = samples.part(~samples.held)
+    validation = samples.part(samples.held) if samples.held.any() else train
     template_center = train.templates.mean(axis=0)
     net = init_mean_drape(
         jax.random.key(options.seed),
         jnp.asarray(center, jnp.float32),
         jnp.asarray(scale, jnp.float32),
         jnp.asarray(template_center, jnp.float32),
-        float((train.templates - template_center).std()),
+        max(float((train.templates - template_center).std()), _SMALLEST_SCALE),
         options.hidden,
     )
     optimiser = optax.adam(optax.cosine_decay_schedule(options.learning_rate, options.steps))

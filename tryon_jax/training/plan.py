@@ -1,52 +1,91 @@
 """What there is to simulate: a list of independent tasks, each of which writes one file of the dataset."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-from scipy.stats import qmc
-
-from tryon_jax.garment import Design
 from tryon_jax.garment.manifest import Manifest
-from tryon_jax.training.dataset import DatasetConfig, mean_path, ray_path, template_path
-from tryon_jax.training.protocol import make_protocol
-
-TEMPLATE_SEED = 7
-"""Seed of the Sobol sequence of designs for R_mean."""
+from tryon_jax.training.dataset import DatasetConfig, mean_path, ray_path, reference_path, template_path
+from tryon_jax.training.protocol import Protocol, make_protocol
 
 
 @dataclass(frozen=True)
 class Task:
-    """One file of the dataset: kind is "mean", "ray" or "template"."""
+    """One file of the dataset: kind is "reference", "mean", "template" or "ray"."""
 
     kind: str
     garment: str = ""
     fabric: str = ""
     number: int = 0
-    """Ray, or number of the template design."""
+    """Of the ray."""
+    training_only: bool = False
+    """The ray's test shapes are left out: nothing is tested on this garment."""
 
     def path(self, root: Path) -> Path:
         """The file that this task writes."""
+        if self.kind == "reference":
+            return reference_path(root, self.fabric)
         if self.kind == "mean":
             return mean_path(root, self.garment, self.fabric)
         if self.kind == "ray":
             return ray_path(root, self.garment, self.fabric, self.number)
-        return template_path(root, self.number)
+        return template_path(root, self.garment.rsplit("-", 1)[0])
 
 
-def plan(config: DatasetConfig, garments: Sequence[str], rays: int, templates: int) -> list[list[Task]]:
-    """Tasks in waves: drapes on the mean body, then templates and rays, which read or start from those drapes.
+def plan(
+    config: DatasetConfig, manifest: Manifest, garments: Sequence[str], rays: int, *, additional: bool = False
+) -> list[tuple[str, list[Task]]]:
+    """Tasks in waves, each with its title: drapes come after those that they start from.
 
     Rays come in the protocol's order over all garments, so that any beginning of the list covers everything evenly.
+
+    Args:
+        config: Of the dataset.
+        manifest: Designs and topologies.
+        garments: Names of garments.
+        rays: Rays of body shapes for each garment.
+        additional: The garments are additional designs: each has rays of its own, spread evenly and turned from design
+            to design, without the test shapes.
     """
     protocol = make_protocol(config.num_betas)
-    means = [Task("mean", garment, fabric) for garment in garments for fabric in config.fabrics]
+    first = [name for name in garments if manifest.first_topology(name) == name]
+    later = [name for name in garments if name not in set(first)]
+    trained = [name for name in first if manifest.split(*split_name(name)) == "training"]
+
+    def means(names: Sequence[str]) -> list[Task]:
+        return [Task("mean", garment, fabric) for garment in names for fabric in config.fabrics]
+
+    def sweeps(names: Sequence[str]) -> list[Task]:
+        numbers = {name: ray_numbers(protocol, rays, garments.index(name) if additional else None) for name in names}
+        return [
+            Task("ray", garment, fabric, numbers[garment][k], additional)
+            for k in range(rays)
+            for garment in names
+            for fabric in config.fabrics
+        ]
+
     return [
-        means,
-        [Task("template", number=k) for k in range(templates)],
-        [replace(task, kind="ray", number=ray) for ray in protocol.order[:rays] for task in means],
+        ("reference", [Task("reference", fabric=fabric) for fabric in config.fabrics]),
+        ("mean body", means(first)),
+        ("mean body, other topologies", means(later)),
+        ("templates", [Task("template", garment) for garment in trained]),
+        ("rays", sweeps(first)),
+        ("rays, other topologies", sweeps(later)),
     ]
+
+
+def ray_numbers(protocol: Protocol, count: int, turn: int | None) -> list[int]:
+    """Numbers of `count` rays: the first of the protocol's order, or evenly spaced ones from number `turn` on."""
+    if turn is None:
+        return list(protocol.order[:count])
+    total = len(protocol.rays)
+    return [(turn + k * total // count) % total for k in range(count)]
+
+
+def split_name(garment: str) -> tuple[str, int]:
+    """Design label and topology seed of a garment's name."""
+    label, seed = garment.rsplit("-", 1)
+    return label, int(seed)
 
 
 def batches(tasks: Sequence[Task], size: int) -> list[tuple[Task, ...]]:
@@ -54,20 +93,6 @@ def batches(tasks: Sequence[Task], size: int) -> list[tuple[Task, ...]]:
     garments = list(dict.fromkeys(task.garment for task in tasks)) if tasks and tasks[0].kind == "ray" else [""]
     groups = [[task for task in tasks if not name or task.garment == name] for name in garments]
     return [tuple(group[k : k + size]) for group in groups for k in range(0, len(group), size)]
-
-
-def template_designs(manifest: Manifest, count: int) -> list[Design]:
-    """Designs for R_mean: the training designs, then a Sobol sequence over the whole space."""
-    designs = list(manifest.training)
-    space = manifest.space
-    extra = max(0, count - len(designs))
-    if extra:
-        sobol = qmc.Sobol(len(space.names), seed=TEMPLATE_SEED)
-        unit = sobol.random_base2(max(1, int(np.ceil(np.log2(extra)))))[:extra]
-        for k, row in enumerate(unit):
-            values = space.minimum + row * (space.maximum - space.minimum)
-            designs.append(space.design(f"sobol-{k}", **dict(zip(space.names, map(float, values), strict=True))))
-    return designs[:count]
 
 
 def garment_names(manifest: Manifest, designs: Sequence[str], seeds: Sequence[int]) -> list[str]:

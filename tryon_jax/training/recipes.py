@@ -10,7 +10,8 @@ the record of its earlier training stays inside the new one.
 import hashlib
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,7 +26,7 @@ from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
-from tryon_jax.nets.unet import UNet, count_parameters
+from tryon_jax.nets.unet import count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.carried import fresh_topologies
 from tryon_jax.training.checkpoint import load_checkpoint
@@ -39,7 +40,7 @@ from tryon_jax.training.collisions import (
 )
 from tryon_jax.training.dataset import read_config
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
-from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
+from tryon_jax.training.loop import LoopOptions, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
 from tryon_jax.training.stages import (
     BatchSource,
@@ -48,6 +49,7 @@ from tryon_jax.training.stages import (
     Predictor,
     StageBatch,
     StageSet,
+    StageWeights,
     displacement_scale,
     fine_sets,
     smooth_sets,
@@ -63,12 +65,14 @@ class StageOptions:
     """Options of R_smooth's and R_fine's training."""
 
     loop: LoopOptions = field(
-        default_factory=lambda: LoopOptions(steps=12000, optimiser="muon", learning_rate=1e-2, warmup=200)
+        default_factory=lambda: LoopOptions(steps=8000, optimiser="muon", learning_rate=1e-2, warmup=200)
     )
     garments: int = 4
     """Garments in a batch."""
-    shapes: int = 4
-    """Body shapes of each garment in a batch."""
+    shapes: int = 32
+    """Body shapes of each garment in a batch: with fields they share one pass of the network."""
+    design_dropout: float = 0.1
+    """Share of the garments in a batch whose nodes are not told the design, as those of a mesh without one."""
     designs: Literal["all", "paper"] = "all"
     """paper: the 19 training designs alone; all: the additional ones as well, where the dataset has them."""
     fresh: int = 0
@@ -97,18 +101,18 @@ def training_names(root: Path, manifest: Manifest, designs: str = "all") -> list
 
 
 def dataset_checksum(root: Path, names: Sequence[str]) -> str:
-    """SHA-256 over names and sizes of the files that a training run reads: which samples, not every byte."""
+    """SHA-256 over the contents of the files that a training run on these garments reads."""
     digest = hashlib.sha256((root / "config.json").read_bytes())
-    for folder in ("mean", "rays", "templates"):
+    for folder in ("meshes", "mean", "rays", "templates"):
         for path in sorted((root / folder).glob("[!.]*.npz")):
-            if folder == "templates" or path.name.split("_")[0] in names:
-                digest.update(f"{folder}/{path.name}:{path.stat().st_size}".encode())
+            if folder == "templates" or path.stem.split("_")[0] in names:
+                digest.update(f"{folder}/{path.name}:".encode() + hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
 
 def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) -> TryOnModel:
     """Train R_mean and start the run's model."""
-    samples = load_templates(root)
+    samples = load_templates(root, load_manifest())
     space = config_space(config)
     center, scale = np.asarray(space.mean), 0.5 * (np.asarray(space.maximum) - np.asarray(space.minimum))
     net, curve = train_mean(samples, center, scale, options)
@@ -140,29 +144,55 @@ def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
     samples = load_samples(model, root, names)
     samples += fresh_topologies(model, root, samples, manifest, options.fresh)
     sets = smooth_sets(samples, manifest)
-    checksum = dataset_checksum(root, names)
-    stage, result = fit_stage(model, "smooth", model.smooth, sets, run / "smooth", options, checksum)
+    stage, record = fit_stage(
+        model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names)
+    )
     model = replace(model, smooth=stage)
-    _save(run, model, "smooth", result, options, sets, checksum)
+    _save(run, model, "smooth", record)
     return model
 
 
-def fit_fine(root: Path, run: Path, fabric: str, options: StageOptions) -> TryOnModel:
-    """Train one fabric's R_fine of a run whose R_smooth is trained.
+def fit_fine(
+    root: Path, run: Path, fabrics: Sequence[str], options: StageOptions, pool: Executor | None = None
+) -> TryOnModel:
+    """Train R_fine of each fabric, for a run whose R_smooth is trained.
+
+    Args:
+        root: Folder of the dataset.
+        run: Folder of the run.
+        fabrics: Whose R_fine.
+        options: Of each training.
+        pool: Trains the fabrics side by side; without it one follows the other.
 
     Raises:
         ValueError: energies and fresh topologies are asked for at once: those have no rest state.
     """
     if options.energy and options.fresh:
         raise ValueError(f"energy = {options.energy} needs fresh = 0, not {options.fresh}: carried drapes do not rest")
+    return _fit_fabrics(run, fabrics, pool, _train_fine, "fine", root, run, options)
+
+
+def _train_fine(fabric: str, root: Path, run: Path, options: StageOptions) -> tuple[Stage, dict[str, Any]]:
     model = load_model(model_path(run))
     sets, checksum = load_fine_sets(model, root, fabric, options)
     folder = run / f"fine-{fabric}"
-    stage, result = fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
-    # Another process may have finished another fabric meanwhile.
+    return fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
+
+
+def _fit_fabrics(
+    run: Path, fabrics: Sequence[str], pool: Executor | None, train: Callable[..., Any], name: str, *arguments: Any
+) -> TryOnModel:
+    """One stage for each fabric; results are put into the model by this process alone, as they come."""
     model = load_model(model_path(run))
-    model = replace(model, fine={**model.fine, fabric: stage})
-    _save(run, model, f"fine-{fabric}", result, options, sets, checksum)
+    if pool is None:
+        found = ((fabric, train(fabric, *arguments)) for fabric in fabrics)
+    else:
+        futures = {pool.submit(train, fabric, *arguments): fabric for fabric in fabrics}
+        found = ((futures[future], future.result()) for future in as_completed(futures))
+    for fabric, result in found:
+        if result is not None:
+            model = with_fine(model, fabric, result[0])
+            _save(run, model, f"{name}-{fabric}", result[1])
     return model
 
 
@@ -182,14 +212,21 @@ def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOpt
     return fine_sets(samples, manifest, fabric, smooth_vertices, cloths), dataset_checksum(root, names)
 
 
-def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path | None = None) -> TryOnModel:
-    """Fine-tune one fabric's R_fine against collisions; R_smooth and R_fine must be trained.
+def fit_collisions(
+    run: Path,
+    fabrics: Sequence[str],
+    options: CollisionOptions,
+    root: Path | None = None,
+    pool: Executor | None = None,
+) -> TryOnModel:
+    """Fine-tune R_fine of each fabric against collisions; R_smooth and R_fine must be trained.
 
     Args:
-        run: folder of the run.
-        fabric: whose R_fine.
-        options: see `CollisionOptions`.
-        root: folder of the dataset that `options.replay` reads; without it no simulation is read.
+        run: Folder of the run.
+        fabrics: Whose R_fine.
+        options: See `CollisionOptions`.
+        root: Folder of the dataset that `options.replay` reads; without it no simulation is read.
+        pool: Trains the fabrics side by side; without it one follows the other.
 
     Raises:
         ValueError: `options.replay` is no share below 1, or asked for without a dataset.
@@ -197,14 +234,20 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path
     check_range("replay", options.replay, 0.0, 0.9)
     if options.replay and root is None:
         raise ValueError(f"replay = {options.replay} needs the folder of a dataset")
+    return _fit_fabrics(run, fabrics, pool, _train_collisions, "collisions", run, options, root)
+
+
+def _train_collisions(
+    fabric: str, run: Path, options: CollisionOptions, root: Path | None
+) -> tuple[Stage, dict[str, Any]] | None:
     model = load_model(model_path(run))
     training = store.read_record(model_path(run)).get("training", {})
     folder = run / f"collisions-{fabric}"
     earlier = training.get(folder.name)
     saved = load_checkpoint(folder)
-    if earlier and saved and saved[1]["step"] == earlier["steps"] and earlier["options"] == _options_record(options):
+    if earlier and saved and saved[1]["step"] == earlier["steps"] and earlier["options"] == asdict(options):
         # Done already: measured again, its result would be its own start.
-        return model
+        return None
     task = CollisionTask(model, fabric, options)
     pool = make_pool(model, options.pool, options.loop.seed)
     held = make_pool(model, options.held_out, options.loop.seed + 1)
@@ -220,34 +263,32 @@ def fit_collisions(run: Path, fabric: str, options: CollisionOptions, root: Path
             return source.draw(rng)
         return draw_collisions(pool, options, model.config.num_betas, rng)
 
-    def evaluate(net: UNet) -> float:
-        return 100 * task.inside_share(net, held, options.loop.seed)
+    def evaluate(weights: StageWeights) -> float:
+        return 100 * task.inside_share(weights, held, options.loop.seed)
 
     identity = {
         "stage": "collisions",
         "fabric": fabric,
-        "options": _options_record(options),
+        "options": asdict(options),
         "config": store.config_record(model.config),
         "before": training.get(f"fine-{fabric}", {}),
         **replayed,
     }
-    before = [task.inside_share(task.start.net, garments, options.loop.seed) for garments in (pool, held)]
-    result = train_loop(task.start.net, task.loss, draw, evaluate, folder, options.loop, identity, folder.name)
+    start = StageWeights(task.start.net, task.start.coefficients)
+    before = [task.inside_share(start, garments, options.loop.seed) for garments in (pool, held)]
+    loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
+    result = train_loop(start, task.loss, draw, evaluate, folder, loop, identity, folder.name)
     after = [task.inside_share(result.params, garments, options.loop.seed) for garments in (pool, held)]
-    model = load_model(model_path(run))
-    model = with_fine(model, fabric, Stage(result.params, task.start.scale))
-    record = store.read_record(model_path(run)).get("training", {})
-    record[folder.name] = {
+    record = {
         "inside_training_percent": [100 * before[0], 100 * after[0]],
         "inside_held_out_percent": [100 * before[1], 100 * after[1]],
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
-        "options": _options_record(options),
+        "options": asdict(options),
         **replayed,
         **({"continues": earlier} if earlier else {}),
     }
-    save_model(model_path(run), model, record)
-    return model
+    return result.params.of(task.start), record
 
 
 def fit_stage(
@@ -259,54 +300,63 @@ def fit_stage(
     options: StageOptions,
     checksum: str,
     fabric: Fabric | None = None,
-) -> tuple[Stage, LoopResult]:
-    """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`."""
-    scale = jnp.asarray(displacement_scale(model.config, kind, sets), jnp.float32)
-    source = BatchSource(sets, options.garments, options.shapes)
+) -> tuple[Stage, dict[str, Any]]:
+    """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`.
+
+    Returns:
+        The trained stage, and the record of its training.
+    """
+    stage = replace(stage, scale=jnp.asarray(displacement_scale(model.config, sets), jnp.float32))
+    no_design = config_space(model.config).middle
+    source = BatchSource(sets, options.garments, options.shapes, no_design, options.design_dropout)
     predictor = Predictor(model.config, kind)
 
-    def loss(net: UNet, batch: Any) -> jax.Array:
-        used = cast_net(net, jnp.bfloat16) if options.precision == "bfloat16" else net
-        return stage_loss(model.config, kind, Stage(used, scale), batch, options.distance, options.energy, fabric)
+    def loss(weights: StageWeights, batch: Any) -> jax.Array:
+        used = weights.of(stage)
+        if options.precision == "bfloat16":
+            used = replace(used, net=cast_net(used.net, jnp.bfloat16))
+        return stage_loss(model.config, kind, used, batch, options.distance, options.energy, fabric)
 
-    def evaluate(net: UNet) -> float:
-        return validation_error(predictor, Stage(net, scale), sets)
+    def evaluate(weights: StageWeights) -> float:
+        return validation_error(predictor, weights.of(stage), sets)
 
     identity = {
         "stage": kind,
-        "options": _options_record(options),
+        "options": asdict(options),
         "config": store.config_record(model.config),
         "dataset": checksum,
-        "parameters": count_parameters(stage.net),
+        "parameters": count_parameters(stage),
     }
-    result = train_loop(stage.net, loss, source.draw, evaluate, folder, options.loop, identity, folder.name)
-    return Stage(result.params, scale), result
-
-
-def _save(
-    run: Path,
-    model: TryOnModel,
-    name: str,
-    result: LoopResult,
-    options: StageOptions,
-    sets: Sequence[StageSet],
-    checksum: str,
-) -> None:
-    record = store.read_record(model_path(run)).get("training", {})
-    earlier = record.get(name)
-    record[name] = {
+    loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
+    weights = StageWeights(stage.net, stage.coefficients)
+    result = train_loop(weights, loss, source.draw, evaluate, folder, loop, identity, folder.name)
+    record = {
         "garments": len(sets),
         "samples": int(sum(s.train.sum() for s in sets)),
         "validation_mm": min(row["validation"] for row in result.curve),
         "steps": result.curve[-1]["step"],
         "seconds": round(result.seconds),
-        "options": _options_record(options),
+        "options": asdict(options),
         "dataset": checksum,
         "platform": _platform(),
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
-    if earlier is not None:
-        again = all(earlier.get(key) == record[name][key] for key in ("options", "dataset"))
+    return result.params.of(stage), record
+
+
+def _all_shapes_at_once(loop: LoopOptions, config: TryOnConfig, shapes: int) -> LoopOptions:
+    """With fields, the network runs once for all bodies of a garment; on a CPU one garment follows the other."""
+    if config.conditioning == "node" or loop.shapes_at_once is not None:
+        return loop
+    return replace(loop, shapes_at_once=shapes if jax.default_backend() == "cpu" else 0)
+
+
+def _save(run: Path, model: TryOnModel, name: str, result: dict[str, Any]) -> None:
+    record = store.read_record(model_path(run)).get("training", {})
+    earlier = record.get(name)
+    record[name] = dict(result)
+    if earlier is not None and "continues" not in result:
+        again = all(earlier.get(key) == result.get(key) for key in ("options", "dataset"))
         before = earlier.get("continues") if again else earlier
         record[name] |= {"continues": before} if before else {}
     if name.startswith("fine-"):
@@ -319,15 +369,6 @@ def chain(record: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """A stage's trainings in their order: those that its record continues, then its own."""
     earlier = record.get("continues")
     return [*chain(earlier), record] if earlier else [record]
-
-
-def _options_record(options: StageOptions | CollisionOptions) -> dict[str, Any]:
-    """The options; later ones only where they are used, so that runs begun before there was a choice continue."""
-    record = asdict(options)
-    for name, default in (("precision", "float32"), ("fresh", 0), ("replay", 0.0), ("distance", "squared")):
-        if record.get(name) == default:
-            del record[name]
-    return record
 
 
 def _platform() -> dict[str, str]:

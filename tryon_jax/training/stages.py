@@ -6,7 +6,7 @@ errors; `fine_input="smoothed"` is the paper's form, the simulation minus its sm
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax
@@ -16,6 +16,8 @@ from jaxtyping import Array, Bool, Float
 
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.mlp import MLP
+from tryon_jax.nets.unet import UNet
 from tryon_jax.physics.bending import bending_energy
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
@@ -25,10 +27,10 @@ from tryon_jax.training.garments import SimulatedGarment, training_shapes
 from tryon_jax.tryon import (
     Garment,
     Stage,
-    apply_stage,
     base_and_detail,
-    fine_features,
-    smooth_features,
+    fine_base,
+    fine_stage,
+    smooth_stage,
     stack_garments,
 )
 from tryon_jax.types import ArrayLike, pytree
@@ -39,6 +41,18 @@ ROUNDED = 1e-4
 """Below this the plain distance is rounded off, so that its gradient stays finite; metres."""
 CHUNK = 16
 """Shapes of one garment that are predicted at once."""
+
+
+@pytree
+class StageWeights:
+    """What training changes of a stage."""
+
+    net: UNet
+    coefficients: MLP | None = None
+
+    def of(self, stage: Stage) -> Stage:
+        """The stage with these weights."""
+        return replace(stage, net=self.net, coefficients=self.coefficients)
 
 
 @pytree
@@ -73,40 +87,13 @@ class StageSet:
     """Rest state padded to the garment's bucket, where the loss has energies."""
 
 
-def predict_smooth(
-    config: TryOnConfig, stage: Stage, garment: Garment, betas: Float[Array, "B b"]
-) -> Float[Array, "B N 3"]:
-    """M_smooth for several shapes."""
-    vertices = jnp.asarray(garment.graph.vertices)
-    base, _ = base_and_detail(config, garment, vertices)
-    moved = apply_stage(stage, garment.graph, smooth_features(config, garment.graph, betas))
-    return jnp.moveaxis(base[:, None] + moved, 1, 0)
-
-
-def predict_fine(
-    config: TryOnConfig,
-    stage: Stage,
-    garment: Garment,
-    betas: Float[Array, "B b"],
-    smooth_vertices: Float[Array, "B N 3"],
-) -> Float[Array, "B N 3"]:
-    """M_fine for several shapes from their M_smooth."""
-    vertices = jnp.asarray(garment.graph.vertices)
-    _, detail = base_and_detail(config, garment, vertices)
-    before = jnp.moveaxis(smooth_vertices, 0, 1)
-    moved = apply_stage(stage, garment.graph, fine_features(config, garment.graph, before, detail, betas))
-    if config.reference == "smoothed":
-        moved = moved + detail[:, None]
-    return jnp.moveaxis(before + moved, 1, 0)
-
-
 def predict(
     config: TryOnConfig, kind: str, stage: Stage, garment: Garment, betas: Array, inputs: Array
 ) -> Float[Array, "B N 3"]:
-    """The stage's output, "smooth" or "fine"."""
+    """The stage's output, "smooth" or "fine", by the functions that `drape` calls."""
     if kind == "smooth":
-        return predict_smooth(config, stage, garment, betas)
-    return predict_fine(config, stage, garment, betas, inputs)
+        return smooth_stage(config, stage, garment, betas)
+    return fine_stage(config, stage, garment, betas, inputs)
 
 
 def stage_loss(
@@ -237,16 +224,15 @@ def fine_sets(
     return sets
 
 
-def displacement_scale(config: TryOnConfig, kind: str, sets: Sequence[StageSet]) -> float:
+def displacement_scale(config: TryOnConfig, sets: Sequence[StageSet]) -> float:
     """Root mean square of what the stage has to add, metres: the unit of its network's output."""
     squares, count = 0.0, 0
     for s in sets:
         chosen = np.flatnonzero(s.train)[:: max(1, int(s.train.sum()) // 8)]
-        vertices = jnp.asarray(s.garment.graph.vertices)
-        base, detail = base_and_detail(config, s.garment, vertices)
-        start = np.asarray(base)[None] if s.inputs is None else s.inputs[chosen]
-        if kind == "fine" and config.reference == "smoothed":
-            start = start + np.asarray(detail)[None]
+        if s.inputs is None:
+            start = np.asarray(base_and_detail(config, s.garment)[0])[None]
+        else:
+            start = s.inputs[chosen] + np.asarray(fine_base(config, s.garment))[None]
         mask = np.asarray(s.garment.graph.mask)
         squares += float(((s.targets[chosen] - start)[:, mask] ** 2).sum())
         count += len(chosen) * int(mask.sum()) * 3
@@ -256,8 +242,16 @@ def displacement_scale(config: TryOnConfig, kind: str, sets: Sequence[StageSet])
 class BatchSource:
     """Draws batches of garments that share a bucket, buckets in proportion to their garments."""
 
-    def __init__(self, sets: Sequence[StageSet], garments: int, shapes: int) -> None:
-        self.shapes, self.garments = shapes, garments
+    def __init__(
+        self,
+        sets: Sequence[StageSet],
+        garments: int,
+        shapes: int,
+        no_design: Float[np.ndarray, " P"] | None = None,
+        dropout: float = 0.0,
+    ) -> None:
+        """`no_design` takes the place of the design in a share `dropout` of the garments drawn."""
+        self.shapes, self.garments, self.no_design, self.dropout = shapes, garments, no_design, dropout
         self.sets = [s for s in sets if s.train.any()]
         if not self.sets:
             raise ValueError("no garment of the dataset has a good training sample")
@@ -274,7 +268,7 @@ class BatchSource:
         picks = [rng.choice(np.flatnonzero(s.train), self.shapes) for s in chosen]
         nothing = np.zeros((1, 1, 3), np.float32)
         return StageBatch(
-            stack_garments([s.garment for s in chosen]),
+            stack_garments([self._with_or_without_design(s.garment, rng) for s in chosen]),
             np.stack([s.betas[p] for s, p in zip(chosen, picks, strict=True)]),
             np.stack(
                 [
@@ -285,6 +279,11 @@ class BatchSource:
             np.stack([s.targets[p] for s, p in zip(chosen, picks, strict=True)]),
             self._cloths(chosen),
         )
+
+    def _with_or_without_design(self, garment: Garment, rng: np.random.Generator) -> Garment:
+        if self.no_design is None or garment.design is None or rng.random() >= self.dropout:
+            return garment
+        return replace(garment, design=self.no_design.astype(np.float32))
 
     @staticmethod
     def _cloths(chosen: Sequence[StageSet]) -> Cloth | None:

@@ -1,6 +1,20 @@
 """The method put together: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
 
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
+from tryon_jax.tryon.draping import (
+    DrapeFields,
+    DrapeStages,
+    StageFields,
+    apply_fields,
+    carry,
+    drape,
+    drape_fields,
+    drape_stages,
+    fine_of,
+    mean_drape,
+    with_design,
+)
+from tryon_jax.tryon.features import fine_features, smooth_features
 from tryon_jax.tryon.garment import Garment, OwnMesh, stack_garments
 from tryon_jax.tryon.model import (
     Stage,
@@ -11,35 +25,33 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
-from tryon_jax.tryon.preparation import prepare, prepare_mesh
-from tryon_jax.tryon.stages import (
-    DrapeStages,
-    apply_stage,
-    base_and_detail,
-    carry,
-    drape,
-    drape_stages,
-    fine_features,
-    mean_drape,
-    smooth_features,
-)
+from tryon_jax.tryon.preparation import design_of, prepare, prepare_mesh
+from tryon_jax.tryon.stages import apply_stage, base_and_detail, fine_base, fine_stage, smooth_stage
 
 __all__ = [
     "BodyContact",
+    "DrapeFields",
     "DrapeStages",
     "Garment",
     "OwnMesh",
     "PenetrationReport",
     "Stage",
+    "StageFields",
     "TryOnModel",
+    "apply_fields",
     "apply_stage",
     "base_and_detail",
     "body_contact",
     "carry",
     "config_space",
+    "design_of",
     "drape",
+    "drape_fields",
     "drape_stages",
+    "fine_base",
     "fine_features",
+    "fine_of",
+    "fine_stage",
     "init_model",
     "load_model",
     "load_pretrained",
@@ -50,6 +62,8 @@ __all__ = [
     "report_penetration",
     "save_model",
     "smooth_features",
+    "smooth_stage",
     "stack_garments",
+    "with_design",
     "with_parameters",
 ]

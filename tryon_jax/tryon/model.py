@@ -12,18 +12,21 @@ from jaxtyping import Float, PRNGKeyArray
 from tryon_jax.body.embedded import load_body
 from tryon_jax.garment import DesignSpace, load_design_space
 from tryon_jax.nets.config import SMALL, TryOnConfig
-from tryon_jax.nets.mlp import MeanDrape, init_mean_drape
+from tryon_jax.nets.mlp import MLP, MeanDrape, init_mean_drape, init_mlp
 from tryon_jax.nets.unet import UNet, UNetConfig, init_unet
 from tryon_jax.types import ArrayLike, Body, pytree, static
 
 
 @pytree
 class Stage:
-    """One displacement regressor: a graph U-Net and the size of what it predicts."""
+    """One displacement regressor: a graph U-Net, the size of what it predicts, and how the body's shape weights it."""
 
     net: UNet
     scale: Float[ArrayLike, ""]
     """Displacements are scale · output, metres (the RMS of the training targets)."""
+    coefficients: MLP | None = None
+    """From betas and their waves to the weights of the K fields that the network predicts; None where the betas are
+    node features."""
 
 
 @pytree
@@ -69,8 +72,17 @@ def init_model(
         hidden=config.mean_hidden,
     )
 
+    if len(space.names) != config.num_parameters:
+        raise ValueError(f"the configuration has {config.num_parameters} parameters, the space {len(space.names)}")
+
     def stage(stage_key: PRNGKeyArray, net: UNetConfig, features: int) -> Stage:
-        return Stage(init_unet(stage_key, net, features), jnp.asarray(0.01))
+        net_key, coefficient_key = jax.random.split(stage_key)
+        unet = init_unet(net_key, net, features, config.outputs)
+        if config.conditioning == "node":
+            return Stage(unet, jnp.asarray(0.01))
+        inputs = config.num_betas * (1 + 2 * len(config.beta_periods))
+        coefficients = init_mlp(coefficient_key, (inputs, *config.coefficient_widths, config.fields))
+        return Stage(unet, jnp.asarray(0.01), coefficients)
 
     fine = {
         fabric: stage(k, config.fine, config.fine_features) for fabric, k in zip(config.fabrics, keys[2:], strict=True)

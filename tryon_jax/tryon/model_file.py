@@ -17,6 +17,18 @@ from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
 from tryon_jax.types import Body
 
+_BEFORE_FIELDS = {
+    "conditioning": "node",
+    "fields": 24,
+    "coefficient_widths": [64, 64],
+    "beta_periods": [8.0, 4.0, 2.0],
+    "wavelengths": [],
+    "design_features": False,
+    "num_parameters": 3,
+    "laplacian": "symmetric",
+}
+"""What files mean that were written before networks predicted fields."""
+
 
 def save_model(
     path: str | Path, model: TryOnModel, training: Mapping[str, Any] | None = None, half: bool = False
@@ -41,7 +53,8 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
         ValueError: it is no store, damaged, or made for another body, pattern or version; the difference is named.
     """
     record = store.read_record(path)
-    config = _config_from_record(record.get("config", {}))
+    record["config"] = _BEFORE_FIELDS | record.get("config", {})
+    config = _config_from_record(record["config"])
     body = body or load_body(config.body)
     faults = store.compare_records(record, _record(config, body))
     if faults:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from tryon_jax.checks import check_finite
-from tryon_jax.garment import Design, DesignSpace, GarmentMesh, remesh
+from tryon_jax.garment import Design, DesignSpace, GarmentMesh, placement, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import build_graph, pad_rows
 from tryon_jax.graph.resample import resample
@@ -60,7 +59,7 @@ def prepare(
             raise ValueError("prepare takes a design or a mesh, not both")
         return _prepare_own(model, _load_own(mesh), area, bucket)
     space = config_space(model.config)
-    return prepare_mesh(model, remesh(space, _as_design(space, design), area, seed=seed), bucket=bucket)
+    return prepare_mesh(model, remesh(space, design_of(space, design), area, seed=seed), bucket=bucket)
 
 
 def prepare_mesh(
@@ -85,7 +84,14 @@ def prepare_mesh(
     points = check_finite("garment vertices", np.asarray(vertices))
     config = model.config
     graph = build_graph(
-        points, mesh.faces, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+        points,
+        mesh.faces,
+        model.body,
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        bucket=bucket,
+        pattern=placement(mesh),
+        laplacian=config.laplacian,
     )
     size = graph.num_nodes
     template_vertices = np.zeros((size, 3), np.int32)
@@ -101,7 +107,12 @@ def prepare_mesh(
     )
 
 
-def _as_design(space: DesignSpace, design: Any) -> Design:
+def design_of(space: DesignSpace, design: Design | Mapping[str, float] | Sequence[float] | str | None) -> Design:
+    """The design that is meant by parameters in metres by name or in order, the name of a preset, or None: the mean.
+
+    Raises:
+        ValueError: Unknown names, or values out of range.
+    """
     if design is None:
         return space.mean_design
     if isinstance(design, Design):
@@ -109,8 +120,8 @@ def _as_design(space: DesignSpace, design: Any) -> Design:
     if isinstance(design, str):
         return space.preset(design)
     if isinstance(design, Mapping):
-        return space.design(**design)
-    return space.from_values(design)
+        return space.design("", **design)
+    return space.from_values(np.asarray(design, float))
 
 
 def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) -> LoadedGarment:
@@ -135,7 +146,13 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
     known = area / _DENSITY_RANGE <= areas.mean() <= area * _DENSITY_RANGE and areas.std() <= areas.mean()
     points, triangles = (vertices, faces) if known else resample(vertices, faces, area)
     graph = build_graph(
-        points, triangles, model.body, num_levels=config.num_levels, pooling=config.pooling, bucket=bucket
+        points,
+        triangles,
+        model.body,
+        num_levels=config.num_levels,
+        pooling=config.pooling,
+        bucket=bucket,
+        laplacian=config.laplacian,
     )
     smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
     if known:

@@ -2,8 +2,8 @@
 
 from viser import GuiApi
 
-from tryon_jax.viewer.takeaway import MAPS
-from tryon_jax.viewer.wardrobe import LAYERS, Wardrobe
+from tryon_jax.render.fit_maps import MAPS
+from tryon_jax.viewer.page_model import LAYERS, PageModel
 
 TAPES = ("stature", "chest", "waist", "hip")
 """Measurements that have sliders."""
@@ -18,18 +18,18 @@ DOWNLOADS = ("GLB", "OBJ", "pattern (SVG, true size)", "picture")
 class Controls:
     """Handles of everything that a visitor can move, press or read."""
 
-    def __init__(self, gui: GuiApi, wardrobe: Wardrobe) -> None:
+    def __init__(self, gui: GuiApi, model: PageModel) -> None:
         gui.set_panel_label("tryon_jax")
-        self._add_garment(gui, wardrobe)
-        self._add_body(gui, wardrobe)
+        self._add_garment(gui, model)
+        self._add_body(gui, model)
         self._add_view(gui)
         self._add_simulation(gui)
         with gui.add_folder("Take away", expand_by_default=False):
             self.downloads = {label: gui.add_button(label) for label in DOWNLOADS}
             self.command = gui.add_text("command", "", multiline=True, hint="Makes the same in a terminal.")
 
-    def _add_garment(self, gui: GuiApi, wardrobe: Wardrobe) -> None:
-        space, start = wardrobe.space, wardrobe.start()
+    def _add_garment(self, gui: GuiApi, model: PageModel) -> None:
+        space, start = model.session.space, model.start()
         with gui.add_folder("Garment"):
             presets = ("mean", *space.presets, CUSTOM)
             named = {name: tuple(float(v) for v in space.preset(name).values) for name in space.presets}
@@ -45,7 +45,7 @@ class Controls:
                 )
                 for i, name in enumerate(space.names)
             ]
-            fabrics = wardrobe.model.config.fabrics
+            fabrics = model.session.fabrics
             self.fabric = gui.add_dropdown("fabric", fabrics, initial_value=start.fabric)
             self.seed = gui.add_number(
                 "mesh number", 0, min=0, max=999, step=1, hint="Another number gives another mesh of the same garment."
@@ -59,19 +59,19 @@ class Controls:
             self.to_pattern = gui.add_button("back to the pattern", visible=False)
             self.own = gui.add_markdown("", visible=False)
 
-    def _add_body(self, gui: GuiApi, wardrobe: Wardrobe) -> None:
+    def _add_body(self, gui: GuiApi, model: PageModel) -> None:
         with gui.add_folder("Body"):
-            if wardrobe.dresses_another_body:
+            if model.dresses_another_body:
                 gui.add_markdown(
-                    f"**{wardrobe.body.name}**: draped on the nearest shape of the networks' body and carried over; "
-                    "an approximation."
+                    f"**{model.session.body.name}**: draped on the nearest shape of the networks' body and carried "
+                    "over; an approximation."
                 )
             self.betas = [
                 gui.add_slider(f"beta {i + 1}", min=-reach, max=reach, step=0.05, initial_value=0.0)
-                for i, reach in enumerate(wardrobe.beta_ranges)
+                for i, reach in enumerate(model.beta_ranges)
             ]
             self.tapes = {}
-            for name, (low, high) in wardrobe.tape_ranges(TAPES).items():
+            for name, (low, high) in model.tape_ranges(TAPES).items():
                 low, high = round(100 * low), round(100 * high)
                 middle = (low + high) / 2
                 self.tapes[name] = gui.add_slider(f"{name}, cm", min=low, max=high, step=0.5, initial_value=middle)

@@ -10,22 +10,23 @@ import numpy as np
 import viser
 
 from tryon_jax.files.export import CLOTH, SKIN, Material, mesh_part, write_glb
+from tryon_jax.render.fit_maps import map_colors
 from tryon_jax.render.picture import background
 from tryon_jax.render.scene import srgb_value
 from tryon_jax.viewer.controls import CUSTOM, DOWNLOADS, PLAIN, Controls
-from tryon_jax.viewer.latest import Latest
-from tryon_jax.viewer.simulation import Simulation
-from tryon_jax.viewer.takeaway import (
+from tryon_jax.viewer.downloads import (
     command_line,
     legend,
-    map_colors,
     mesh_file,
     pattern_file,
     picture_file,
     through_file,
 )
+from tryon_jax.viewer.latest import Latest
+from tryon_jax.viewer.page_model import LAYERS, PageModel, Result, ShownMesh, UploadedMesh
+from tryon_jax.viewer.simulation import Simulation
 from tryon_jax.viewer.upload import read_upload, refuse_large_uploads
-from tryon_jax.viewer.wardrobe import LAYERS, Look, OwnMesh, Surface, Wardrobe
+from tryon_jax.wear.dressed import DressedBody
 
 # Metres: where the simulation stands, and half the side of the floor.
 _BESIDE, _FLOOR = 1.9, 3.0
@@ -35,24 +36,24 @@ _SIMULATED = Material(color=(0.69, 0.44, 0.35), roughness=0.9, double_sided=True
 class Page:
     """Controls and scene of one client of the server.
 
-    Two threads of its own follow the controls: one drapes what is wished at once, the other then pushes it out of the
-    body and measures the fit. Both work on the latest wish only, so that a slider that is dragged is never waited for.
+    Two threads of its own follow the controls. One drapes at once; the other then pushes the cloth out of the body and
+    measures the fit. Both work on the latest settings only, so that nobody waits for a slider that is being dragged.
     """
 
     def __init__(
         self,
         client: viser.ClientHandle,
-        wardrobe: Wardrobe,
+        model: PageModel,
         *,
-        own: OwnMesh | None = None,
+        own: UploadedMesh | None = None,
         source: tuple[str, ...] = (),
     ) -> None:
         self.client = client
-        self.wardrobe = wardrobe
+        self.model = model
         self.source = source
-        self.wish = wardrobe.start()
-        self.look: Look | None = None
-        # When the latest wish was uttered, and how long it took until it was seen.
+        self.settings = model.start()
+        self.result: Result | None = None
+        # When the controls were last moved, and how long it took until the drape was seen.
         self._asked_at = time.perf_counter()
         self._waited = 0.0
         self._drawing = threading.RLock()
@@ -61,20 +62,20 @@ class Page:
         # Measurements that the visitor has set, metres.
         self._asked: dict[str, float] = {}
         self._set_scene()
-        self.controls = Controls(client.gui, wardrobe)
-        self._looks = Latest(self._work_on_look, self._say)
-        self._finishes = Latest(self._work_on_finish, self._say)
+        self.controls = Controls(client.gui, model)
+        self._computing = Latest(self._work_on_settings, self._say)
+        self._finishing = Latest(self._work_on_finish, self._say)
         refuse_large_uploads(client, self._say)
         self._listen()
         if own is None:
-            self._looks.give(self.wish)
+            self._computing.give(self.settings)
         else:
             self._wear(own)
 
     def close(self) -> None:
         """Stop the threads and a simulation that runs; the visitor has gone."""
-        self._looks.close()
-        self._finishes.close()
+        self._computing.close()
+        self._finishing.close()
         if self._simulation is not None:
             self._simulation.cancel()
 
@@ -117,11 +118,11 @@ class Page:
         self._on_click(controls.to_pattern, self._wear, None)
         self._on_click(controls.simulate, self._start_simulation)
         self._on_click(controls.cancel, self._cancel_simulation)
-        makers: tuple[tuple[str, Callable[[Look], bytes]], ...] = (
-            ("garment.glb", lambda look: mesh_file(look, ".glb")),
-            ("garment.obj", lambda look: mesh_file(look, ".obj")),
-            ("pattern.svg", lambda look: pattern_file(look, self.wardrobe.space)),
-            ("garment.png", lambda look: picture_file(look, self._map)),
+        makers: tuple[tuple[str, Callable[[DressedBody], bytes]], ...] = (
+            ("garment.glb", lambda dressed: mesh_file(dressed, ".glb")),
+            ("garment.obj", lambda dressed: mesh_file(dressed, ".obj")),
+            ("pattern.svg", lambda dressed: pattern_file(dressed, self.model.session.space)),
+            ("garment.png", lambda dressed: picture_file(dressed, self._map)),
         )
         for label, (name, make) in zip(DOWNLOADS, makers, strict=True):
             self._on_click(controls.downloads[label], self._download, name, make)
@@ -139,12 +140,12 @@ class Page:
         return None if self.controls.map.value == PLAIN else self.controls.map.value
 
     def _changed(self, **changes: Any) -> None:
-        """Drape what the controls say now; `changes` are fields of the wish that have no control."""
-        controls, space = self.controls, self.wardrobe.space
+        """Drape what the controls say now; `changes` are fields of the settings that have no control."""
+        controls, space = self.controls, self.model.session.space
         # Sliders go in steps of half a centimetre: the ends of the range may lie between two.
         design = np.clip([slider.value / 100 for slider in controls.design], space.minimum, space.maximum)
-        self.wish = replace(
-            self.wish,
+        self.settings = replace(
+            self.settings,
             design=tuple(float(v) for v in design),
             betas=tuple(float(slider.value) for slider in controls.betas),
             fabric=controls.fabric.value,
@@ -153,14 +154,14 @@ class Page:
             **changes,
         )
         self._asked_at = time.perf_counter()
-        self._looks.give(self.wish)
+        self._computing.give(self.settings)
 
     def _take_design(self) -> None:
         self.controls.preset.value = CUSTOM
         self._changed()
 
     def _take_preset(self) -> None:
-        space, name = self.wardrobe.space, self.controls.preset.value
+        space, name = self.model.session.space, self.controls.preset.value
         if name == CUSTOM:
             return
         chosen = space.mean_design if name == "mean" else space.preset(name)
@@ -176,28 +177,29 @@ class Page:
     def _take_measurement(self, name: str) -> None:
         """The nearest body to the measurements that were set since the betas were moved; the others follow."""
         self._asked[name] = float(self.controls.tapes[name].value) / 100
-        fit = self.wardrobe.body_of(self._asked)
+        fit = self.model.session.body_of(self._asked)
         missed = ", ".join(f"{name} {100 * miss:+.1f} cm" for name, miss in fit.residuals.items())
         self.controls.fitted.content = f"nearest body: {missed}"
-        reaches = self.wardrobe.beta_ranges
+        reaches = self.model.beta_ranges
         for slider, beta, reach in zip(self.controls.betas, np.asarray(fit.betas), reaches, strict=True):
             slider.value = float(np.clip(beta, -reach, reach))
         self._changed()
 
     def _take_upload(self, file: viser.UploadedFile) -> None:
-        self._wear(read_upload(file.name, file.content))
+        session = self.model.session
+        self._wear(read_upload(file.name, file.content, lambda path, name: session.bring(path, label=name)))
 
-    def _wear(self, own: OwnMesh | None) -> None:
+    def _wear(self, own: UploadedMesh | None) -> None:
         """Put on a mesh of the visitor's own, or go back to the pattern."""
         if own is not None:
             # What is wrong with a mesh shows when it is prepared: then the page stays as it was.
-            self.wardrobe.look(replace(self.wish, own=own))
+            self.model.compute(replace(self.settings, own=own))
         controls = self.controls
         for handle in (controls.preset, *controls.design, controls.seed):
             handle.disabled = own is not None
         controls.to_pattern.visible = controls.own.visible = own is not None
         if own is not None:
-            controls.own.content = "  \n".join([f"wearing **{own.name}**", *own.loaded.repairs])
+            controls.own.content = "  \n".join([f"wearing **{own.name}**", *own.remarks])
         self._changed(own=own)
 
     # Work
@@ -212,40 +214,40 @@ class Page:
     def _say(self, error: Exception) -> None:
         self.client.add_notification("That did not work", str(error), color="red", auto_close_seconds=20)
 
-    def _work_on_look(self, wish: Any) -> None:
-        if self.look is None or self.look.wish != wish:
-            look = self.wardrobe.look(wish)
+    def _work_on_settings(self, settings: Any) -> None:
+        if self.result is None or self.result.settings != settings:
+            result = self.model.compute(settings)
             with self._drawing:
                 self._waited = time.perf_counter() - self._asked_at
-                self._take_look(look)
-            self._finishes.give(look)
+                self._take_result(result)
+            self._finishing.give(result)
 
-    def _work_on_finish(self, look: Look) -> None:
-        finished = self.wardrobe.finish(look)
+    def _work_on_finish(self, result: Result) -> None:
+        finished = self.model.finish(result)
         with self._drawing:
-            if self.look is look:
-                self._take_look(finished)
+            if self.result is result:
+                self._take_result(finished)
 
-    def _take_look(self, look: Look) -> None:
-        self.look = look
-        layers = tuple(name for name in LAYERS if name in look.layers)
+    def _take_result(self, result: Result) -> None:
+        self.result = result
+        layers = tuple(name for name in LAYERS if name in result.layers)
         if self.controls.layer.options != layers:
             self.controls.layer.options = layers
         self._draw()
-        self._tell(look)
+        self._tell(result)
 
     def _draw(self) -> None:
-        look, controls = self.look, self.controls
-        if look is None:
+        result, controls = self.result, self.controls
+        if result is None:
             return
         with self._drawing, self.client.atomic():
-            layer = controls.layer.value if controls.layer.value in look.layers else LAYERS[0]
+            layer = controls.layer.value if controls.layer.value in result.layers else LAYERS[0]
             colors = None
-            if self._map is not None and layer == "drape" and look.fit is not None:
-                colors = map_colors(look.fit, self._map)
-            self._floor.position = (0.0, float(look.body.vertices[:, 1].min()), 0.0)
-            self._show("body", look.body, SKIN, None, visible=controls.with_body.value and layer != "panels")
-            self._show("garment", look.layers[layer], CLOTH, colors, wireframe=controls.wireframe.value)
+            if self._map is not None and layer == "drape" and result.dressed.fit is not None:
+                colors = map_colors(result.dressed.fit, self._map)
+            self._floor.position = (0.0, float(result.body.vertices[:, 1].min()), 0.0)
+            self._show("body", result.body, SKIN, None, visible=controls.with_body.value and layer != "panels")
+            self._show("garment", result.layers[layer], CLOTH, colors, wireframe=controls.wireframe.value)
             controls.legend.visible = self._map is not None and layer == "drape"
             if self._map is not None:
                 controls.legend.content = legend(self._map)
@@ -253,7 +255,7 @@ class Page:
     def _show(
         self,
         name: str,
-        surface: Surface,
+        mesh: ShownMesh,
         material: Material,
         colors: np.ndarray | None,
         *,
@@ -265,17 +267,17 @@ class Page:
         scene = self.client.scene
         known, faces, handle = self._shown.get(name, (None, np.zeros((0, 3), int), None))
         if colors is not None and not wireframe:
-            part = mesh_part(name, surface.vertices, surface.faces, material=material, colors=colors)
+            part = mesh_part(name, mesh.vertices, mesh.faces, material=material, colors=colors)
             data = through_file(".glb", lambda path: write_glb(path, [part]))
             handle = scene.add_glb(f"/{name}", data, visible=visible, position=position, receive_shadow=False)
-        elif handle is not None and known == kind and np.array_equal(faces, surface.faces):
-            handle.vertices = np.asarray(surface.vertices, np.float32)
+        elif handle is not None and known == kind and np.array_equal(faces, mesh.faces):
+            handle.vertices = np.asarray(mesh.vertices, np.float32)
             handle.visible = visible
         else:
             handle = scene.add_mesh_simple(
                 f"/{name}",
-                np.asarray(surface.vertices, np.float32),
-                surface.faces,
+                np.asarray(mesh.vertices, np.float32),
+                mesh.faces,
                 color=material.color,
                 wireframe=wireframe,
                 side="double" if material.double_sided else "front",
@@ -284,31 +286,31 @@ class Page:
                 # Thin cloth would be striped by its own shadow: only the floor shows any.
                 receive_shadow=False,
             )
-        self._shown[name] = kind, surface.faces, handle
+        self._shown[name] = kind, mesh.faces, handle
 
-    def _tell(self, look: Look) -> None:
+    def _tell(self, result: Result) -> None:
         controls = self.controls
         for name, slider in controls.tapes.items():
             if name not in self._asked:
-                slider.value = round(200 * look.measured[name]) / 2
-        lines = ["measuring …"] if look.fit is None else look.fit.lines()
-        if look.pushed is not None:
-            before = 100 * look.pushed.inside_before
+                slider.value = round(200 * result.dressed.body.measurements[name]) / 2
+        lines = ["measuring …"] if result.dressed.fit is None else result.dressed.fit.lines()
+        if result.dressed.pushed is not None:
+            before = 100 * result.dressed.pushed.inside_before
             lines.append(f"pushed out: {before:.1f} % of the cloth had been inside")
         controls.report.content = "  \n".join(lines)
-        times = [f"{name}: {1000 * seconds:.0f} ms" for name, seconds in look.seconds.items()]
+        times = [f"{name}: {1000 * seconds:.0f} ms" for name, seconds in result.seconds.items()]
         controls.times.content = "  \n".join([*times, f"**slider to drape: {1000 * self._waited:.0f} ms**"])
-        controls.command.value = command_line(look.wish, self.wardrobe.space, self.source)
+        controls.command.value = command_line(result.settings, self.model.session.space, self.source)
 
-    def _download(self, name: str, make: Callable[[Look], bytes]) -> None:
-        if self.look is not None:
-            data = make(self.wardrobe.finish(self.look))
+    def _download(self, name: str, make: Callable[[DressedBody], bytes]) -> None:
+        if self.result is not None:
+            data = make(self.model.finish(self.result).dressed)
             self.client.send_file_download(name, data, save_immediately=True)
 
     # Simulation
 
     def _start_simulation(self) -> None:
-        if self.look is None or (self._simulation is not None and self._simulation.running):
+        if self.result is None or (self._simulation is not None and self._simulation.running):
             return
         self.controls.simulate.disabled = True
         self.controls.cancel.visible = self.controls.progress.visible = True
@@ -317,7 +319,7 @@ class Page:
         # Step back so that both bodies are seen.
         self.client.camera.position = (_BESIDE / 2, 0.2, 4.6)
         self.client.camera.look_at = (_BESIDE / 2, -0.05, 0.0)
-        self._simulation = Simulation(self.wardrobe.body, self.look, self._simulation_step, self._simulation_end)
+        self._simulation = Simulation(self.model.session.body, self.result, self._simulation_step, self._simulation_end)
 
     def _cancel_simulation(self) -> None:
         if self._simulation is not None:
@@ -325,12 +327,12 @@ class Page:
             self.controls.outcome.content = "stopping …"
             self._simulation.cancel()
 
-    def _simulation_step(self, share: float, surface: Surface) -> None:
+    def _simulation_step(self, share: float, mesh: ShownMesh) -> None:
         self.controls.progress.value = 100 * share
         with self._drawing:
-            self._show("simulation", surface, _SIMULATED, None, position=(_BESIDE, 0.0, 0.0))
-            if self.look is not None:
-                self._show("simulated body", self.look.body, SKIN, None, position=(_BESIDE, 0.0, 0.0))
+            self._show("simulation", mesh, _SIMULATED, None, position=(_BESIDE, 0.0, 0.0))
+            if self.result is not None:
+                self._show("simulated body", self.result.body, SKIN, None, position=(_BESIDE, 0.0, 0.0))
 
     def _simulation_end(self, words: str) -> None:
         self.controls.outcome.content = words

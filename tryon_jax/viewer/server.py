@@ -6,7 +6,7 @@ import viser
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.types import Body
 from tryon_jax.viewer.page import Page
-from tryon_jax.viewer.wardrobe import OwnMesh, Wardrobe, Wish
+from tryon_jax.viewer.page_model import PageModel, Settings, UploadedMesh
 
 
 def serve(
@@ -14,7 +14,7 @@ def serve(
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
-    own: OwnMesh | None = None,
+    own: UploadedMesh | None = None,
     own_body: Body | None = None,
     source: tuple[str, ...] = (),
 ) -> viser.ViserServer:
@@ -31,13 +31,13 @@ def serve(
     Raises:
         ValueError: `own` is not on the mean body, or `own_body` cannot be dressed.
     """
-    wardrobe = Wardrobe(model, own_body)
-    start = wardrobe.start()
+    page_model = PageModel(model, own_body)
+    start = page_model.start()
     # Compiles everything before the first visitor waits for it.
-    wardrobe.finish(wardrobe.look(start))
-    wardrobe.body_of({"stature": wardrobe.look(start).measured["stature"]})
+    first = page_model.finish(page_model.compute(start))
+    page_model.session.body_of({"stature": first.dressed.body.measurements["stature"]})
     if own is not None:
-        wardrobe.look(Wish(start.design, start.betas, start.fabric, own=own))
+        page_model.compute(Settings(start.design, start.betas, start.fabric, own=own))
     server = viser.ViserServer(host=host, port=port, verbose=False)
     server.gui.configure_theme(control_width="large", show_logo=False)
     server.gui.main_panel.dock_right()
@@ -49,7 +49,7 @@ def serve(
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        pages[client.client_id] = Page(client, wardrobe, own=own, source=source)
+        pages[client.client_id] = Page(client, page_model, own=own, source=source)
 
     @server.on_client_disconnect
     def _(client: viser.ClientHandle) -> None:

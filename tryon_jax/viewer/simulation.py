@@ -11,12 +11,12 @@ from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, foll
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.types import Body
-from tryon_jax.viewer.wardrobe import Look, Surface
+from tryon_jax.viewer.page_model import Result, ShownMesh
 
 SHAPES = 6
 """Body shapes on the straight way from the mean body to the one that is asked for."""
 PIECE = 20
-"""Steps between two looks at the progress; cancelling takes effect there."""
+"""Steps between two reports of the progress; cancelling takes effect there."""
 _DRESSING = 20
 _SHAPE = 6
 
@@ -27,12 +27,12 @@ class Simulation:
     def __init__(
         self,
         body: Body,
-        look: Look,
-        on_step: Callable[[float, Surface], None],
+        result: Result,
+        on_step: Callable[[float, ShownMesh], None],
         on_end: Callable[[str], None],
     ) -> None:
         self._body = body
-        self._look = look
+        self._dressed = result.dressed
         self._on_step = on_step
         self._on_end = on_end
         self._cancelled = threading.Event()
@@ -61,13 +61,13 @@ class Simulation:
 
     def _simulate(self) -> str:
         start = time.perf_counter()
-        cloth_shown, wish = self._look.cloth, self._look.wish
-        first = cloth_shown.start()
-        fabric = load_fabric(wish.fabric)
-        cloth = build_cloth(cloth_shown.faces, cloth_shown.uv, cloth_shown.faces_uv, len(first))
+        garment = self._dressed.garment
+        first = garment.start()
+        fabric = load_fabric(self._dressed.fabric)
+        cloth = build_cloth(garment.faces, garment.uv, garment.faces_uv, len(first))
         settings, goal, piece = SolverSettings(), Equilibrium(), Equilibrium(max_steps=PIECE)
         obstacle = Obstacle(self._body)
-        target = np.asarray(wish.betas, float)
+        target = np.asarray(self._dressed.body.betas, float)
         total = _DRESSING + _SHAPE * SHAPES
         drape = dress(first, cloth, fabric, obstacle, settings, goal, np.zeros_like(target).tolist(), PIECE)
         # The mean body first, then one shape after another; each in pieces, until it is at rest or its time is up.
@@ -85,10 +85,10 @@ class Simulation:
             if not target.any():
                 break
         self._tell(drape, 1.0)
-        learned = self._look.layers["fine stage"].vertices
+        learned = self._dressed.fine
         apart = np.linalg.norm(drape.vertices - learned, axis=1)
         seconds = time.perf_counter() - start
         return f"simulated in {seconds:.1f} s; the learned drape is {1000 * apart.mean():.1f} mm away on average"
 
     def _tell(self, drape: Drape, share: float) -> None:
-        self._on_step(share, Surface(drape.vertices, self._look.cloth.faces))
+        self._on_step(share, ShownMesh(drape.vertices, self._dressed.faces))

@@ -1,1 +1,1 @@
-"""What is done with a drape on a body: its fit, poses, other bodies."""
+"""The try-on as users meet it: one session from design, body and fabric to the fitted garment; poses, other bodies."""

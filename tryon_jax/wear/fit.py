@@ -103,8 +103,7 @@ class Fit:
 
 
 def measure_fit(
-    body_vertices: Float[ArrayLike, "B 3"],
-    body_faces: Int[ArrayLike, "G 3"],
+    body: ClosedSurface,
     landmarks: Landmarks,
     vertices: Float[ArrayLike, "V 3"],
     faces: Int[ArrayLike, "F 3"],
@@ -115,8 +114,7 @@ def measure_fit(
     """Measure a draped garment on a body.
 
     Args:
-        body_vertices: the shaped body in T-pose, metres.
-        body_faces: its triangles; the body must be closed.
+        body: the skin of the shaped body in T-pose.
         landmarks: where tapes are laid on it.
         vertices: the draped garment, metres.
         faces: its triangles.
@@ -124,16 +122,14 @@ def measure_fit(
         faces_uv: entry of `uv` of every face corner.
         fabric: what it is made of, to say how hard it pulls.
     """
-    body_points = np.asarray(body_vertices, np.float64)
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces)
-    surface = ClosedSurface(body_points, np.asarray(body_faces))
-    measured = _measure(body_vertices, landmarks)
+    measured = _measure(body.vertices.astype(np.float32), landmarks)
     flat, corners = np.asarray(uv, np.float64), np.asarray(faces_uv)
     cloth: dict[str, float | None] = {}
     stretch: dict[str, float | None] = {}
     tapes: dict[str, tuple[float, np.ndarray]] = {}
     for name in EASE_AT:
-        loop = loop_round(points, triangles, *tape_place(landmarks, name, body_points))
+        loop = loop_round(points, triangles, *tape_place(landmarks, name, body.vertices))
         if loop is None:
             cloth[name] = stretch[name] = None
             continue
@@ -148,7 +144,7 @@ def measure_fit(
         garment_girth=cloth,
         girth_stretch=stretch,
         pull={} if fabric is None else _pulls(tapes, fabric),
-        clearance=surface.closest(points, exact_below=_EXACT).distance,
+        clearance=body.closest(points, exact_below=_EXACT).distance,
         tension=total / np.maximum(count, 1),
     )
 

@@ -97,6 +97,10 @@ class Verdict:
         words = {"warning": "warning ", "refused": "refused "}
         return [f"{words[finding.outcome]} {finding.text}" for finding in self.findings]
 
+    def as_dict(self) -> dict[str, object]:
+        """Outcome and findings in words, for JSON."""
+        return {"outcome": self.outcome, "findings": [finding.text for finding in self.findings]}
+
     def check(self, name: str = "the drape") -> None:
         """Raise `Refused` for a drape that must not be written."""
         bad = [finding for finding in self.findings if finding.outcome == "refused"]

@@ -27,7 +27,7 @@ _shape = jax.jit(shape_body)
 
 @dataclass(frozen=True, eq=False)
 class OtherBody:
-    """Another body with what ties it to the networks' one; made by `meet`."""
+    """Another body with what ties it to the networks' one; made by `prepare_other_body`."""
 
     body: Body
     landmarks: Landmarks
@@ -67,7 +67,7 @@ class OtherBody:
         return moved.astype(np.float32)
 
 
-def meet(body: Body, known: Body, num_betas: int) -> OtherBody:
+def prepare_other_body(body: Body, known: Body, num_betas: int) -> OtherBody:
     """Prepare `body` to wear what is draped on `known`, the networks' body, of which they see `num_betas` betas.
 
     Raises:

@@ -50,6 +50,8 @@ class OwnGarment:
     """As it is unstretched: its true-size texture coordinates, or the mesh as it came."""
     remarks: tuple[str, ...]
     """What was found and done, one sentence each."""
+    has_pattern: bool = False
+    """Whether the rest shape is that of the file's texture coordinates."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
@@ -84,13 +86,14 @@ def bring_own(
     called = Path(path).name if name is None else name
     taken = take_in(path, body, options.placing, options.piece, called)
     vertices, faces = taken.garment.joined()
-    uv, faces_uv = pattern_of(vertices, faces, *taken.garment.texture())
-    pattern = Pattern(faces, uv, faces_uv)
+    texture = taken.garment.texture()
+    uv, faces_uv = pattern_of(vertices, faces, *texture)
+    pattern, drawn = Pattern(faces, uv, faces_uv), uv is texture[0]
     if not options.settle:
-        return OwnGarment(called, taken.garment, pattern, taken.remarks)
+        return OwnGarment(called, taken.garment, pattern, taken.remarks, drawn)
     simulator = simulator or Simulator(body)
     settled, words = _settled(taken, pattern, simulator, progress)
-    return OwnGarment(called, taken.garment.moved(settled), pattern, (*taken.remarks, words))
+    return OwnGarment(called, taken.garment.moved(settled), pattern, (*taken.remarks, words), drawn)
 
 
 def _settled(

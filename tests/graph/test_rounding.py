@@ -1,0 +1,43 @@
+"""Rounding of the mean drape moves neither the pooling hierarchy nor the drape."""
+
+import jax
+import numpy as np
+import pytest
+
+from tryon_jax.garment import placement, remesh
+from tryon_jax.tryon import TryOnModel, config_space, drape, load_pretrained, prepare_mesh
+
+SHAPES = np.array([[1.5, -0.5], [-1.0, 1.0]], np.float32)
+
+
+@pytest.fixture(scope="module")
+def model() -> TryOnModel:
+    return load_pretrained()
+
+
+@pytest.mark.slow
+def test_rounding_of_the_mean_drape_changes_no_hierarchy_and_moves_no_drape(model: TryOnModel) -> None:
+    space = config_space(model.config)
+    run = jax.jit(drape, static_argnames="fabric")
+    rng = np.random.default_rng(0)
+    for design in space.sample(20, seed=3):
+        mesh = remesh(space, design, model.config.target_area)
+        garment = prepare_mesh(model, mesh)
+        mean = garment.mean_vertices
+        up = np.nextafter(mean, np.where(rng.random(mean.shape) < 0.5, np.inf, -np.inf).astype(mean.dtype))
+        shaken = mean + rng.choice([-1e-6, 1e-6], mean.shape).astype(mean.dtype)
+        drapes = garment.unpad(run(model, garment, SHAPES))
+        for moved in (up, shaken):
+            other = prepare_mesh(model, mesh, vertices=moved)
+            for level, found in zip(garment.graph.levels, other.graph.levels, strict=True):
+                jax.tree.map(np.testing.assert_array_equal, level, found)
+            assert np.abs(other.unpad(run(model, other, SHAPES)) - drapes).max() < 1e-5
+
+
+def test_the_hierarchy_comes_from_the_flat_pattern(model: TryOnModel) -> None:
+    space = config_space(model.config)
+    mesh = remesh(space, space.mean_design, 8e-4)
+    assert placement(mesh).shape == (mesh.num_vertices, 3)
+    first, second = (prepare_mesh(model, mesh, vertices=placement(mesh) * s) for s in (1.0, 1.1))
+    for level, found in zip(first.graph.levels, second.graph.levels, strict=True):
+        jax.tree.map(np.testing.assert_array_equal, level, found)

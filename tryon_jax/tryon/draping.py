@@ -1,0 +1,241 @@
+"""Device side, pure: the drape of a garment on bodies of any shape, by itself or from fields made once for it."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from tryon_jax.checks import check_choice
+from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
+from tryon_jax.nets.mlp import MLP, apply_mean_drape
+from tryon_jax.tryon.garment import Garment
+from tryon_jax.tryon.model import Stage, TryOnModel
+from tryon_jax.tryon.stages import (
+    base_and_detail,
+    field_coefficients,
+    fine_base,
+    fine_fields,
+    fine_stage,
+    smooth_fields,
+    smooth_stage,
+    weighted_sum,
+)
+from tryon_jax.types import EXACT, ArrayLike, pytree, static
+
+
+@pytree
+class StageFields:
+    """What one network adds: an offset and a sum of K fields, weighted by the body's shape."""
+
+    offset: Float[ArrayLike, "*batch M 3"]
+    """Metres."""
+    fields: Float[ArrayLike, "*batch M 3 K"]
+    """Metres."""
+    coefficients: MLP
+    """From betas and their waves to the K weights."""
+
+
+@pytree
+class DrapeFields:
+    """The drape of one garment in one fabric as a function of the body's shape: `apply_fields` evaluates it.
+
+    It needs neither the networks nor the graph, and a new body costs one matrix product. M is the padded number of
+    vertices of the garment's own mesh.
+    """
+
+    smooth: StageFields
+    """M_smooth."""
+    fine: StageFields
+    """What M_fine has beyond it."""
+    beta_scale: float = static(default=2.0)
+    beta_periods: tuple[float, ...] = static(default=())
+
+
+@pytree
+class DrapeStages:
+    """The intermediate results of `drape`, all padded, metres."""
+
+    mean: Float[Array, "N 3"]
+    """M̄, the drape on the mean body."""
+    smooth: Float[Array, "*batch N 3"]
+    """M_smooth."""
+    fine: Float[Array, "*batch N 3"]
+    """M_fine, the result."""
+    penetration: PenetrationReport | None = None
+    """Of M_fine, where it was asked for."""
+
+
+def drape(
+    model: TryOnModel,
+    garment: Garment,
+    betas: Float[ArrayLike, "*batch b"],
+    fabric: str | None = None,
+    design: Float[ArrayLike, " P"] | None = None,
+) -> Float[Array, "*batch N 3"]:
+    """Vertices of the garment on the body of shape `betas`, metres, padded: `garment.unpad` drops the padding.
+
+    Pure: jit (`static_argnames="fabric"`), vmap over betas and over stacked garments, grad with respect to betas,
+    design, the garment's vertices and every weight. Nothing is compiled anew for another garment of the same bucket.
+    For many bodies of one garment, `drape_fields` once and then `apply_fields` save the networks' part.
+
+    Args:
+        model: From `load_pretrained`, `load_model` or training.
+        garment: From `prepare`.
+        betas: Shape coefficients; several body shapes at once are cheaper than one by one.
+        fabric: One of `model.config.fabrics`; by default the first.
+        design: Design parameters in metres for M̄ = W · R_mean(p) at the garment's topology; by default M̄ as
+            prepared.
+
+    Raises:
+        ValueError: for an unknown fabric or another number of betas than the model has (when tracing).
+    """
+    return drape_stages(model, garment, betas, fabric, design).fine
+
+
+def drape_stages(
+    model: TryOnModel,
+    garment: Garment,
+    betas: Float[ArrayLike, "*batch b"],
+    fabric: str | None = None,
+    design: Float[ArrayLike, " P"] | None = None,
+    contact: BodyContact | None = None,
+) -> DrapeStages:
+    """`drape` with its intermediate results; arguments as there.
+
+    With `contact`, made once by `body_contact(model.body)`, the result also says where M_fine is inside the body.
+    """
+    garment = with_design(model, garment, design)
+    vertices = jnp.asarray(garment.graph.vertices)
+    rows, batch = _rows(model.config.num_betas, betas, vertices.dtype)
+    if model.config.conditioning == "fields":
+        smooth, fine = _evaluate(drape_fields(model, garment, fabric), rows)
+    else:
+        moved = smooth_stage(model.config, model.smooth, garment, rows)
+        fine = carry(garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices)
+        smooth = carry(garment, moved, vertices)
+    report = None
+    if contact is not None:
+        report = report_penetration(contact, model.body, fine, rows, garment.body_vertices, garment.mask)
+        report = jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), report)
+    smooth, fine = (x.reshape(*batch, *x.shape[1:]) for x in (smooth, fine))
+    return DrapeStages(carry(garment, vertices, vertices), smooth, fine, report)
+
+
+def drape_fields(
+    model: TryOnModel,
+    garment: Garment,
+    fabric: str | None = None,
+    design: Float[ArrayLike, " P"] | None = None,
+) -> DrapeFields:
+    """The networks' part of `drape`, once for a garment and a fabric; arguments as there.
+
+    Raises:
+        ValueError: for an unknown fabric, or a model with `conditioning="node"`, which has no fields.
+    """
+    config, fine = model.config, fine_of(model, fabric)
+    if model.smooth.coefficients is None or fine.coefficients is None:
+        raise ValueError('this model has no fields: it was made with conditioning="node"; use `drape`')
+    garment = with_design(model, garment, design)
+    base, _ = base_and_detail(config, garment)
+    parts = [
+        StageFields(base, smooth_fields(config, model.smooth, garment), model.smooth.coefficients),
+        StageFields(fine_base(config, garment), fine_fields(config, fine, garment), fine.coefficients),
+    ]
+    smooth_part, fine_part = _carry_fields(garment, *parts)
+    return DrapeFields(smooth_part, fine_part, config.beta_scale, config.beta_periods)
+
+
+def apply_fields(fields: DrapeFields, betas: Float[ArrayLike, "*batch b"]) -> Float[Array, "*batch M 3"]:
+    """The drape on bodies of shape `betas`, metres, padded; equals `drape` of the garment that the fields are of.
+
+    Args:
+        fields: From `drape_fields`.
+        betas: Shape coefficients of one body or of many.
+    """
+    rows, batch = _rows(None, betas, jnp.asarray(fields.smooth.fields).dtype)
+    _, fine = _evaluate(fields, rows)
+    return fine.reshape(*batch, *fine.shape[1:])
+
+
+def fine_of(model: TryOnModel, fabric: str | None) -> Stage:
+    """R_fine of a fabric, by default of the model's first.
+
+    Raises:
+        ValueError: the model does not know the fabric.
+    """
+    return model.fine[check_choice("fabric", fabric or model.config.fabrics[0], model.fine)]
+
+
+def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:
+    """The garment with M̄ of another design at its fixed topology; the garment itself where `design` is None.
+
+    Raises:
+        ValueError: the garment was not made from a design.
+    """
+    if design is None:
+        return garment
+    moved = garment.with_vertices(mean_drape(model, garment, design))
+    return dataclasses.replace(moved, design=jnp.asarray(design))
+
+
+def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
+    """M̄ = W · R_mean(p) at the garment's fixed topology, differentiable in the design; padded vertices are zero.
+
+    Raises:
+        ValueError: the garment was not made from a design.
+    """
+    if garment.template_vertices is None or garment.template_weights is None:
+        raise ValueError("this garment is a mesh without a design: its mean drape does not depend on one")
+    template = apply_mean_drape(model.mean, jnp.asarray(design))
+    return jnp.einsum(
+        "vk,vkc->vc", jnp.asarray(garment.template_weights), template[garment.template_vertices], precision=EXACT
+    )
+
+
+def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]) -> Float[Array, "*batch M 3"]:
+    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other."""
+    own = garment.own
+    if own is None:
+        return moved
+    shift = (moved - mean.reshape((1,) * (moved.ndim - 2) + mean.shape))[..., jnp.asarray(own.carriers), :]
+    carried = jnp.einsum("mk,...mkc->...mc", jnp.asarray(own.weights), shift, precision=EXACT)
+    return carried + jnp.asarray(own.vertices).reshape((1,) * (moved.ndim - 2) + own.vertices.shape)
+
+
+def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
+    """Fields at the vertices of the user's own mesh, where there is one: `carry` is affine."""
+    own = garment.own
+    if own is None:
+        return smooth, fine
+    mean = jnp.asarray(garment.graph.vertices)
+
+    def interpolated(values: Float[ArrayLike, "N *rest"]) -> Float[Array, "M *rest"]:
+        near = jnp.asarray(values)[jnp.asarray(own.carriers)]
+        return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
+
+    return (
+        StageFields(carry(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients),
+        StageFields(interpolated(fine.offset), interpolated(fine.fields), fine.coefficients),
+    )
+
+
+def _evaluate(fields: DrapeFields, betas: Float[Array, "B b"]) -> tuple[Float[Array, "B M 3"], Float[Array, "B M 3"]]:
+    """M_smooth and M_fine."""
+
+    def part(stage: StageFields) -> Float[Array, "B M 3"]:
+        weights = field_coefficients(stage.coefficients, betas, fields.beta_scale, fields.beta_periods)
+        return jnp.asarray(stage.offset)[None] + weighted_sum(jnp.asarray(stage.fields), weights)
+
+    smooth = part(fields.smooth)
+    return smooth, smooth + part(fields.fine)
+
+
+def _rows(
+    num_betas: int | None, betas: Float[ArrayLike, "*batch b"], dtype: jnp.dtype
+) -> tuple[Float[Array, "B b"], tuple[int, ...]]:
+    """Betas as a matrix, and the shape of the batch."""
+    array = jnp.asarray(betas)
+    if num_betas is not None and array.shape[-1:] != (num_betas,):
+        raise ValueError(f"betas must be {num_betas} numbers for this model, got shape {array.shape}")
+    return array.reshape(-1, array.shape[-1]).astype(dtype), array.shape[:-1]
