@@ -25,12 +25,24 @@ def check_finite(name: str, value: ArrayLike | float | int) -> np.ndarray:
 
 
 def check_range(name: str, value: float | int, low: float | int, high: float | int, unit: str = "") -> float:
-    """Return `value` as a float, or raise `ValueError` when it is not in [low, high]."""
+    """Return `value` as a float, or raise `ValueError` when it is not in [low, high].
+
+    Lengths in metres (`unit` "m") that look like centimetres, millimetres or inches are told so.
+    """
     number = float(check_finite(name, value))
     if not low <= number <= high:
         space = f" {unit}" if unit else ""
-        raise ValueError(f"{name} = {number:g}{space} is outside its range {low:g} to {high:g}{space}")
+        hint = _unit_hint(number, low, high) if unit == "m" else ""
+        raise ValueError(f"{name} = {number:g}{space} is outside its range {low:g} to {high:g}{space}{hint}")
     return number
+
+
+def _unit_hint(number: float, low: float, high: float) -> str:
+    """What a length in metres was probably meant in."""
+    for unit, factor in (("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254)):
+        if low <= number * factor <= high:
+            return f"; {number:g} looks like {unit}: give {number * factor:.3g}"
+    return ""
 
 
 def check_choice(name: str, value: str, choices: Iterable[str]) -> str:

@@ -3,6 +3,8 @@
 import os
 import pickle
 import struct
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +147,89 @@ def test_chumpy_pickle_of_smpl_one(tmp_path: Path) -> None:
     check_is_the_body(load_smpl(file))
 
 
+@pytest.fixture
+def chumpy(monkeypatch: pytest.MonkeyPatch) -> dict[str, type]:
+    """Modules of chumpy's names, present while a test writes its file."""
+    made: dict[str, type] = {}
+    for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
+        made[name] = type(name, (), {"__module__": module, "__getstate__": lambda self: vars(self)})
+        holder = types.ModuleType(module)
+        setattr(holder, name, made[name])
+        monkeypatch.setitem(sys.modules, module, holder)
+    monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
+    return made
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 3, 4, 5])
+def test_chumpy_states_with_their_sets(tmp_path: Path, chumpy: dict[str, type], protocol: int) -> None:
+    """`Ch.__new__` makes `_dirty_vars = set()`, and `__getstate__` drops `_parents` and `_cache` alone."""
+
+    def made(kind: str, **state: Any) -> Any:
+        one = chumpy[kind]()
+        dependent = {"kept": {"deps": frozenset({"x"}), "value": None, "out_of_date": True}}
+        common = {"_dirty_vars": {*state}, "_itr": None, "_make_dense": False, "_make_sparse": False}
+        vars(one).update(common | {"_depends_on_deps": dependent} | state)
+        return one
+
+    plain = fields()
+    directions = made("Ch", x=plain["shapedirs"].ravel())
+    plain["shapedirs"] = made("Select", a=directions, idxs=np.arange(6774 * 30), preferred_shape=(6774, 3, 10))
+    plain["v_template"] = made("Ch", x=plain["v_template"])
+    file = tmp_path / "basicModel_f.pkl"
+    file.write_bytes(pickle.dumps(plain, protocol))
+    check_is_the_body(load_smpl(file))
+
+
+@pytest.mark.parametrize("name", ["set", "frozenset"])
+def test_sets_hold_plain_values_only(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "set.pkl"
+    file.write_bytes(b"(dVchanged\nc__builtin__\n" + name.encode() + b"\n((lVx\naI3\naNatRs.")
+    assert read_arrays(file)["changed"] == {"x", 3, None}
+    file.write_bytes(b"(dVchanged\nc__builtin__\n" + name.encode() + b"\n((lc__builtin__\nobject\natRs.")
+    with pytest.raises(RefusedPickleError, match=f"a {name} of other things than numbers and text"):
+        read_arrays(file)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("mm", 1e-3), ("cm", 1e-2), ("dm", 0.1), ("in", 0.0254)])
+def test_another_unit_is_told_by_the_size_of_a_person(tmp_path: Path, unit: str, metres: float) -> None:
+    plain = fields()
+    scaled = {name: plain[name] / metres for name in ("v_template", "shapedirs", "posedirs")}
+    np.savez(tmp_path / "body.npz", **plain | scaled)
+    with pytest.warns(UserWarning, match=f"took lengths as {unit} and brought them to metres"):
+        body = load_smpl(tmp_path / "body.npz")
+    check_is_the_body(body)
+    np.testing.assert_allclose(body.posedirs, np.moveaxis(plain["posedirs"], 2, 0), atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"v_template": 1e6 * np.asarray(BODY.v_template)}, r"units across, which is no grown person \(1 to 2.4 m\)"),
+        ({"v_template": 0.3 * np.asarray(BODY.v_template)}, "no grown person"),
+        ({"v_template": 1e3 * np.asarray(BODY.v_template)}, "v_template is in mm, .* they are in another unit"),
+    ],
+)
+def test_sizes_of_nobody_are_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    np.savez(tmp_path / "body.npz", **fields(**changes))
+    with pytest.raises(ValueError, match=message):
+        load_smpl(tmp_path / "body.npz")
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".pkl"])
+def test_arrays_of_objects_are_called_what_they_are(tmp_path: Path, suffix: str) -> None:
+    """As `np.savez` writes a sparse matrix: one object in an array without axes."""
+    held = np.empty((), object)
+    held[()] = sparse.csc_matrix(np.asarray(BODY.J_regressor))
+    file = tmp_path / f"body{suffix}"
+    if suffix == ".npz":
+        np.savez(file, **fields(J_regressor=held))
+    else:
+        file.write_bytes(pickle.dumps(fields(J_regressor=held), 2))
+    with pytest.raises(ValueError, match="J_regressor holds Python objects and not numbers") as caught:
+        load_smpl(file)
+    assert "damaged" not in str(caught.value)
+
+
 def test_more_joints_and_fewer_betas(tmp_path: Path) -> None:
     """SMPL-H has 52 joints and 16 betas, SMPL-X 55 and 400."""
     extra = 28
@@ -246,6 +331,10 @@ def test_damaged_and_wrong_files_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "body.obj"
     file.write_text("v 0 0 0")
     with pytest.raises(ValueError, match=r"must end in .npz or .pkl, not '.obj'"):
+        load_smpl(file)
+    file = tmp_path / "body"
+    file.write_text("")
+    with pytest.raises(ValueError, match=r"must end in .npz or .pkl, but it has no suffix"):
         load_smpl(file)
     np.savez(tmp_path / "other.npz", vertices=np.zeros((3, 3)))
     with pytest.raises(ValueError, match="lacks v_template, shapedirs"):

@@ -20,7 +20,7 @@ def weights(tmp_path_factory):
 
 
 # The flat panels cut through the body, which is far from what a push can mend.
-COARSE = ["--triangle-area", "12", "--no-push-out"]
+COARSE = ["--triangle-area", "12", "--no-push-out", "--no-gate"]
 
 
 def test_drape_writes_mesh_picture_and_report_and_tells_the_time(weights, tmp_path, capsys):
@@ -99,7 +99,10 @@ def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys):
     own = tmp_path / "own.ply"
     trimesh.Trimesh(100 * vertices, faces, process=False).export(own)
     capsys.readouterr()
-    assert main(["drape", "--weights", weights, "--garment", str(own), "--no-push-out", "--out", str(second)]) == 0
+    # Flat panels are where no garment would be, and no drape.
+    as_it_is = ["--offset", "0", "0", "0", "--pose-of-garment", "t", "--unit", "cm", "--no-settle", "--no-gate"]
+    command = ["drape", "--weights", weights, "--garment", str(own), "--no-push-out", *as_it_is]
+    assert main([*command, "--out", str(second)]) == 0
     out = capsys.readouterr().out
     assert f"garment  own.ply; {len(vertices)} vertices, {len(faces)} triangles" in out
     assert "tension  0.0 %" in out, "the mesh as it came is unstretched"
@@ -142,6 +145,7 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
     command = ["drape", "--weights", weights, "--batch", str(orders), "--out", str(out), "--format", "npz", *COARSE]
     assert main(command) == 0
     assert sorted(path.name for path in out.iterdir()) == ["003.npz", "ann.npz", "bea.npz", "fit.csv"]
+    text = (out / "fit.csv").read_text()
     with (out / "fit.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["name"] for row in rows] == ["ann", "bea", "003"]
@@ -151,6 +155,75 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
     assert float(rows[0]["body_girth_hip"]) > 0.6
     with np.load(out / "ann.npz") as mesh:
         assert mesh["garment_uv"].shape[1] == 2
+    # Again: nothing is done that is done; a row whose file is gone is done again.
+    capsys.readouterr()
+    (out / "bea.npz").unlink()
+    assert main(command) == 0
+    said = capsys.readouterr().out
+    assert said.count("done before") == 2
+    assert said.count("wrote ") == 2
+    assert (out / "fit.csv").read_text() == text
+
+
+def test_a_batch_names_all_bad_rows_before_it_begins(weights, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rows = ["name,design,betas,fabric,garment", "a,dress,,,", "b,dres,,,", "c,,0 -4,,", "d,,,silk,", "e,,,,gone.obj"]
+    (tmp_path / "orders.csv").write_text("\n".join(rows))
+    assert main(["drape", "--weights", weights, "--batch", "orders.csv", "--out", "results"]) == 1
+    err = capsys.readouterr().err
+    assert "4 of 5 rows cannot be draped: row 2 (b): unknown design 'dres'" in err
+    for word in ("row 3 (c)", "known from -2 to 2", "row 4 (d): unknown fabric 'silk'", "row 5 (e)", "gone.obj"):
+        assert word in err
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_batch_goes_on_after_a_row_that_fails(weights, tmp_path, capsys):
+    """A mesh that is no garment is found out only when it is read; the columns are the same for every row."""
+    (tmp_path / "bad.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    orders = tmp_path / "orders.csv"
+    orders.write_text(f"name,design,garment\nown,,{tmp_path / 'bad.obj'}\ntop,tank,\nlong,maxi-dress,\n")
+    command = ["drape", "--weights", weights, "--batch", str(orders), "--out", str(tmp_path / "out"), *COARSE]
+    assert main(command) == 1
+    said = capsys.readouterr()
+    assert "failed   bad.obj" in said.out
+    assert "1 of 3 rows failed: own; see fit.csv" in said.err
+    with (tmp_path / "out" / "fit.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == ["own", "top", "long"]
+    assert rows[0]["outcome"] == "failed"
+    assert "bad.obj" in rows[0]["error"]
+    assert all(rows[1][name] == "" for name in ("error", "too_tight"))
+    assert (tmp_path / "out" / "long.glb").exists()
+
+
+def test_a_torn_drape_is_refused_and_nothing_is_written(weights, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    options = [
+        "--triangle-area",
+        "12",
+        "--design",
+        "dress",
+        "--out",
+        "a.glb",
+        "--picture",
+        "a.png",
+        "--report",
+        "a.json",
+    ]
+    assert main(["drape", "--weights", weights, *options]) == 1
+    err = capsys.readouterr().err
+    assert "is refused: " in err
+    assert "What to try: " in err
+    assert list(tmp_path.iterdir()) == []
+    assert main(["drape", "--weights", weights, *options, "--no-gate"]) == 0
+    assert "refused " in capsys.readouterr().out
+    assert json.loads((tmp_path / "a.json").read_text())["outcome"] == "refused"
+
+
+def test_a_mesh_without_the_body(weights, tmp_path):
+    path = tmp_path / "cloth.glb"
+    assert main(["drape", "--weights", weights, "--parts", "garment", *COARSE, "--out", str(path)]) == 0
+    assert set(trimesh.load(path, process=False).geometry) == {"garment"}
 
 
 @pytest.mark.parametrize(
@@ -173,16 +246,51 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
         (["--batch", "orders.csv", "--out", "r", "--design", "dress"], "columns of the CSV file"),
         (["--pose", "missing.npz"], "no file at 'missing.npz'"),
         (["--garment", "missing.obj"], "no file at 'missing.obj'"),
+        (["--garment-length", "96"], "96 looks like centimetres: give 0.96"),
+        (["--betas", "0", "-4"], "beta 2 = -4, known from -2 to 2"),
+        (["--views", "frnt"], "unknown view 'frnt' (did you mean 'front'?)"),
+        (["--height", "-5"], "picture height = -5 pixels is outside its range"),
+        (["--map", "easy"], "unknown map 'easy' (did you mean 'ease'?); known: ease, tension, penetration"),
+        (["--unit", "cm"], "give --garment"),
+        (["--garment", "own.obj", "--seed", "2"], "--seed makes the mesh of a design"),
+        (["--garment", "own.obj", "--triangle-area", "2"], "--triangle-area makes the mesh of a design"),
+        (["--garment", "own.obj", "--unit", "yard"], "unknown unit 'yard'"),
+        (["--refine", "0"], "--refine = 0 steps is outside its range"),
+        (["--refine", "5", "6"], "--refine takes one number of steps or none"),
+        (["--refine", "--simulate"], "either --refine or --simulate"),
+        (["--out", "a.png", "--picture", "a.png"], "suffix '.png' is none of"),
+        (["--report", "same.glb", "--out", "same.glb"], "each output needs a path of its own"),
         (["--garment", "missing.obj", "--design", "dress"], "either a design or --garment"),
     ],
 )
 def test_bad_requests_are_one_line_and_leave_nothing(weights, tmp_path, monkeypatch, capsys, options, message):
     monkeypatch.chdir(tmp_path)
-    assert main(["drape", "--weights", weights, *options, *([] if "--triangle-area" in options else COARSE)]) == 1
+    own = tmp_path / "own.obj"
+    if "own.obj" in options:
+        own.write_text("v 0 0 0\n")
+    coarse = [] if {"--triangle-area", "--garment", "--betas"} & set(options) else COARSE
+    assert main(["drape", "--weights", weights, *options, *coarse]) == 1
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert message in err
+    own.unlink(missing_ok=True)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_outputs_that_cannot_be_written_are_refused_before_work(weights, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "folder.glb").mkdir()
+    (tmp_path / "folder.png").mkdir()
+    monkeypatch.setattr("tryon_jax.commands.drape._load", lambda _: pytest.fail("work was done"))
+    for options, message in (
+        (["--out", "file/x.glb"], "is a file and no folder"),
+        (["--out", "folder.glb"], "is a directory"),
+        (["--picture", "folder.png"], "is a directory"),
+        (["--out", f"{'x' * 300}.glb"], "name too long"),
+    ):
+        assert main(["drape", "--weights", weights, *options]) == 1
+        assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -193,6 +301,7 @@ def test_bad_requests_are_one_line_and_leave_nothing(weights, tmp_path, monkeypa
         ("name,design\na,dress\na,tshirt\n", "distinct names"),
         ("name,design\n../a,dress\n", "plain file name"),
         ("name,design\n", "distinct names"),
+        ("design,stature\ndress,tall\n,1.7\na,b,c\n", "row 3 of orders.csv: it has more cells than the 2 columns"),
     ],
 )
 def test_bad_batch_files_name_the_row(weights, tmp_path, monkeypatch, capsys, text, message):

@@ -64,11 +64,12 @@ def betas_from_measurements(
     if not asked:
         raise ValueError("give at least one measurement, such as {'stature': 1.72}")
     landmarks = jax.tree.map(jnp.asarray, load_landmarks(body) if landmarks is None else landmarks)
-    dtype = jnp.asarray(body.v_template).dtype
+    # The solver's own numbers have JAX's default precision; the result has the body's.
+    dtype = jnp.result_type(float)
     # A target and a weight for every measurement, so that any choice of them runs the same compiled program.
     targets = jnp.asarray([asked.get(name, 1.0) for name in MEASUREMENTS], dtype)
     weights = jnp.asarray([float(name in asked) for name in MEASUREMENTS], dtype) / _TOLERANCE
-    betas = _solve(body, landmarks, targets, weights)
+    betas = _solve(body, landmarks, targets, weights).astype(jnp.asarray(body.v_template).dtype)
     measured = dict(zip(MEASUREMENTS, _measure(body, landmarks, betas), strict=True))
     measured = {name: float(value) for name, value in measured.items()}
     residuals = {name: measured[name] - value for name, value in asked.items()}

@@ -46,13 +46,7 @@ def check_measurement(name: str, value: float) -> float:
     """`value` in metres, or `ValueError` naming the range; values that look like cm, mm or inches are told so."""
     check_choice("measurement", name, MEASUREMENTS)
     low, high = MEASUREMENTS[name].low, MEASUREMENTS[name].high
-    try:
-        return check_range(name, value, low, high, "m")
-    except ValueError as error:
-        for unit, factor in (("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254)):
-            if low <= value * factor <= high:
-                raise ValueError(f"{error}; {value:g} looks like {unit}: give {value * factor:.3g}") from None
-        raise
+    return check_range(name, value, low, high, "m")
 
 
 def tape_girth(

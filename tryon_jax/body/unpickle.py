@@ -13,6 +13,7 @@ import numpy as np
 from scipy import sparse
 
 _PLAIN_KINDS = "biufSU"
+_PLAIN_VALUES = (bool, int, float, str, bytes)
 _SPARSE = {f"{kind}_{form}": kind for kind in ("csc", "csr", "coo") for form in ("matrix", "array")}
 
 
@@ -51,8 +52,13 @@ class _Array:
 
     def __setstate__(self, state: tuple) -> None:
         _, shape, dtype, fortran, data = state
-        # An array of objects comes as a list; none is needed, so it stays one.
-        self.value = data if isinstance(data, list) else dtype.read(data, shape, "F" if fortran else "C")
+        if isinstance(data, list):
+            # An array of objects comes as a list. It stays one of stand-ins, so that it can be told from numbers.
+            self.value = np.empty(len(data), object)
+            self.value[:] = data
+            self.value = self.value.reshape(shape)
+        else:
+            self.value = dtype.read(data, shape, "F" if fortran else "C")
 
     def settle(self) -> Any:
         """The array."""
@@ -111,6 +117,14 @@ def _encode(text: str, encoding: str) -> bytes:
     return text.encode("latin1")
 
 
+def _plain_set(kind: type, *items: Any) -> set | frozenset:
+    """A set of plain values, as chumpy keeps the names of what has changed."""
+    members = list(items[0]) if items else []
+    if len(items) > 1 or not all(value is None or isinstance(value, _PLAIN_VALUES) for value in members):
+        raise RefusedPickleError(f"it holds a {kind.__name__} of other things than numbers and text")
+    return kind(members)
+
+
 def _from_buffer(data: Any, dtype: _Dtype, shape: tuple, order: Any) -> np.ndarray:
     return dtype.read(data, shape, order)
 
@@ -131,6 +145,8 @@ class _ArrayUnpickler(pickle.Unpickler):
             "encode": lambda text, encoding: _encode(text, encoding),
             "bytes": lambda: b"",
             "object": type("Nothing", (), {}),
+            "set": lambda *items: _plain_set(set, *items),
+            "frozenset": lambda *items: _plain_set(frozenset, *items),
             "chumpy": type("Chumpy", (_Chumpy,), {}),
             **{name: type(name, (_Sparse,), {"kind": kind}) for name, kind in _SPARSE.items()},
         }
@@ -144,7 +160,7 @@ class _ArrayUnpickler(pickle.Unpickler):
             or (numpy_core and name in ("_reconstruct", "scalar", "_frombuffer"))
             or (module == "_codecs" and name == "encode")
             or (module in ("copy_reg", "copyreg") and name == "_reconstructor")
-            or (module in ("__builtin__", "builtins") and name in ("object", "bytes"))
+            or (module in ("__builtin__", "builtins") and name in ("object", "bytes", "set", "frozenset"))
             or (module.startswith("scipy.sparse") and name in _SPARSE)
         ):
             return self.names[name]

@@ -1,6 +1,8 @@
 """Where the time of one command goes."""
 
+import sys
 import time
+from collections.abc import Callable
 
 from tryon_jax.wear.stopwatch import Stopwatch
 
@@ -12,6 +14,18 @@ class Clock(Stopwatch):
         super().__init__()
         # One thread has read and imported modules so far.
         self.seconds["start-up"] = time.process_time()
+
+    def progress(self, name: str) -> Callable[[int, float], None]:
+        """Tells steps and residual of a simulation on the terminal, where there is one, in one line."""
+        start = time.perf_counter()
+
+        def tell(steps: int, residual: float) -> None:
+            if sys.stderr.isatty():
+                seconds = time.perf_counter() - start
+                line = f"{name}: {steps} steps, residual {residual:.3f}, {seconds:.0f} s"
+                print(f"{line:<72}", end="\r", file=sys.stderr, flush=True)
+
+        return tell
 
     def __str__(self) -> str:
         """One line: each stage's seconds and their sum."""

@@ -19,9 +19,12 @@ def report_lines(dressed: DressedBody, remarks: Sequence[str] = ()) -> list[str]
     if body.known_betas is not body.betas:
         shape = " ".join(f"{beta:+.2f}" for beta in body.known_betas)
         lines.append(f"note     draped on the networks' body of betas {shape}, carried to {body.body.name}")
+    if dressed.simulated is not None:
+        lines.append(f"solved   {dressed.simulated.words()}")
     if dressed.pushed is not None:
         lines.append(_push_line(dressed.pushed))
-    return lines if dressed.fit is None else [*lines, *dressed.fit.lines()]
+    lines += [] if dressed.fit is None else dressed.fit.lines()
+    return lines if dressed.verdict is None else [*lines, *dressed.verdict.lines()]
 
 
 def record(dressed: DressedBody, name: str) -> dict[str, Any]:
@@ -34,6 +37,7 @@ def record(dressed: DressedBody, name: str) -> dict[str, Any]:
         "betas": [float(b) for b in dressed.body.betas],
         "fabric": dressed.fabric,
         "vertices": len(dressed.vertices),
+        **({} if dressed.verdict is None else dressed.verdict.as_dict()),
         **({} if dressed.fit is None else dressed.fit.as_dict()),
     }
 

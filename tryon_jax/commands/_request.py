@@ -123,20 +123,25 @@ def read_requests(path: Path) -> list[Request]:
     `name` (the result's file name) is the row's number when it is not given; lists are separated by spaces.
 
     Raises:
-        ValueError: unknown columns, a number that is none, or two rows of one name; the row is named.
+        ValueError: unknown columns, numbers that are none, rows with too many cells, or two rows of one name; all rows
+            that are wrong are named.
     """
     with check_file("batch file", path).open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream)
         for column in reader.fieldnames or ():
             check_choice(f"column of {path.name}", column, _COLUMNS)
         rows = list(reader)
-    requests = []
+    requests, bad = [], []
     for number, row in enumerate(rows, start=1):
         cells = {key: value.strip() for key, value in row.items() if key is not None and value and value.strip()}
         try:
+            if None in row:
+                raise ValueError(f"it has more cells than the {len(reader.fieldnames or ())} columns")
             requests.append(_request(cells, f"{number:03d}"))
         except ValueError as error:
-            raise ValueError(f"row {number} of {path.name}: {error}") from error
+            bad.append(f"row {number} of {path.name}: {error}")
+    if bad:
+        raise ValueError("; ".join(bad))
     names = [request.name for request in requests]
     if not names or len(set(names)) != len(names):
         raise ValueError(f"{path.name} must have rows with distinct names, got {names}")

@@ -5,26 +5,23 @@ tryon drape --design tshirt --stature 1.72 --chest 0.96 --sleeve-length 0.2 --pi
 tryon drape --batch orders.csv --out results --format obj
 """
 
-import csv
-import io
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from tryon_jax.body import load_smpl
-from tryon_jax.checks import check_choice, check_range
+from tryon_jax.checks import check_file, check_range
+from tryon_jax.commands._answer import Treatment, answer
+from tryon_jax.commands._batch import TABLE, Batch
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._report import record, report_lines
-from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests, resolve_betas, resolve_design
-from tryon_jax.files.atomic import write_text
-from tryon_jax.files.export import WRITERS, check_suffix
-from tryon_jax.render import render_picture
-from tryon_jax.render.fit_maps import MAPS, map_colors
-from tryon_jax.render.image import check_picture_path
+from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._report import report_lines
+from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
+from tryon_jax.commands._say import say
+from tryon_jax.files.atomic import check_target
+from tryon_jax.files.export import WRITERS
 from tryon_jax.tryon import TryOnModel, load_model
-from tryon_jax.wear.dressed import DressedBody
+from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.posing import read_pose
 from tryon_jax.wear.session import Session
 
@@ -36,13 +33,20 @@ class Config:
     cut: Cut = field(default_factory=Cut)
     shape: BodyShape = field(default_factory=BodyShape)
     garment: Path | None = None
-    """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
+    """Mesh of your own garment in place of a design: .obj, .glb, .gltf or .ply; its place on the body is found."""
+    own: OwnOptions = field(default_factory=OwnOptions)
     pose: Path | None = None
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
     smpl: Path | None = None
     """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     fabric: str | None = None
     """Fabric, such as gray-interlock; the model's first when not given."""
+    refine: tuple[int, ...] | None = None
+    """Bring the learned drape to rest by simulation, or only as many steps as given; any of the ten fabrics."""
+    simulate: bool = False
+    """Drape by simulation alone, without the networks; any of the ten fabrics."""
+    gate: bool = True
+    """Refuse a drape that is torn or lies in the body; with --no-gate it is written, and what is wrong is said."""
     push_out: bool = True
     """Push cloth that lies inside the body out of it, by the least displacement, checked by exact distances."""
     out: Path | None = None
@@ -53,8 +57,10 @@ class Config:
     """Views of the picture: front, three-quarter, side, back, or degrees."""
     height: int = 900
     """Height of the picture, pixels."""
-    map: Literal["ease", "tension", "penetration"] | None = None
-    """Colour the cloth by its distance from the body, its stretch, or how far it lies inside the body."""
+    map: str | None = None
+    """Colour the cloth by distance from the body (ease), its stretch (tension) or its depth inside (penetration)."""
+    parts: Literal["both", "garment", "body"] = "both"
+    """What the mesh file holds."""
     report: Path | None = None
     """JSON file for the report of the fit."""
     batch: Path | None = None
@@ -82,30 +88,40 @@ def _load(weights: Path | None) -> TryOnModel:
 def main(config: Config) -> None:
     """Drape what is asked for, write the files, and print the fit and where the time went."""
     clock = Clock()
-    requests, targets = _plan(config)
+    look = Look(config.views, config.height, config.map, config.parts)
+    requests, targets = _plan(config, look)
     with clock.stage("weights"):
         model = _load(config.weights)
     with clock.stage("body"):
-        session = Session(
-            model, body=None if config.smpl is None else load_smpl(config.smpl), triangle_area=_area(config)
-        )
+        body = None if config.smpl is None else load_smpl(config.smpl)
+        session = Session(model, body=body, triangle_area=_area(config))
     pose = None if config.pose is None else read_pose(config.pose, len(model.body.parents))
-    rows = []
-    for request, target in zip(requests, targets, strict=True):
-        dressed, remarks = _answer(session, request, config, clock)
-        if pose is not None:
-            dressed = session.pose(dressed, pose, stopwatch=clock)
-        if config.batch is not None:
-            print(f"-- {request.name}")
-        for line in report_lines(dressed, remarks):
-            print(line)
-        for path in target.write(dressed, request, config, clock):
-            print(f"wrote    {path}")
-        rows.append(record(dressed, request.name))
-    if config.batch is not None and config.out is not None:
-        _write_table(config.out / "fit.csv", rows)
-        print(f"wrote    {config.out / 'fit.csv'}")
-    print(clock)
+    treatment = Treatment(
+        push_out=config.push_out,
+        refine=config.refine is not None,
+        steps=sum(config.refine or ()) or None,
+        simulate=config.simulate,
+        gate=config.gate,
+        own=config.own,
+        seed=config.seed,
+    )
+    if config.batch is not None:
+        folder = Path(str(config.out))
+        _drape_batch(session, Batch(folder, requests, targets, treatment, look, pose, _options(config)), clock)
+        return
+    (request,), (target,) = requests, targets
+    dressed, remarks = answer(session, request, treatment, clock, pose)
+    written = target.write(dressed, request.name, look, clock)
+    say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written), clock)
+
+
+def _drape_batch(session: Session, batch: Batch, clock: Clock) -> None:
+    """All rows; raises where one failed, after the others are done."""
+    batch.check(session)
+    failed = batch.run(session, clock)
+    say(f"wrote    {batch.folder / TABLE}", clock)
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(batch.requests)} rows failed: {', '.join(failed)}; see {TABLE}")
 
 
 def _area(config: Config) -> float | None:
@@ -115,62 +131,46 @@ def _area(config: Config) -> float | None:
     return 1e-4 * check_range("triangle area", config.triangle_area, 0.1, 30.0, "cm^2")
 
 
-def _answer(session: Session, request: Request, config: Config, clock: Clock) -> tuple[DressedBody, list[str]]:
-    """The dressed body of one request, and what there is to say about its shape."""
-    fabric = check_choice("fabric", request.fabric or session.fabrics[0], session.fabrics)
-    with clock.stage("body"):
-        betas, remarks = resolve_betas(session.body, request.shape, session.num_betas)
-    design = None if request.mesh is not None else resolve_design(session.space, request.cut)
-    garment = session.prepare(design, mesh=request.mesh, seed=config.seed, stopwatch=clock)
-    dressed = session.drape(garment, betas, fabric=fabric, stopwatch=clock)
-    if config.push_out:
-        dressed = session.push_out(dressed, stopwatch=clock)
-    return session.measure(dressed, stopwatch=clock), remarks
+def _options(config: Config) -> str:
+    """What the results of a batch depend on besides its rows; not where they are written."""
+    return repr(replace(config, out=None, batch=None))
 
 
-@dataclass(frozen=True)
-class Target:
-    """The files of one garment."""
-
-    mesh: Path | None = None
-    picture: Path | None = None
-    report: Path | None = None
-
-    def write(self, dressed: DressedBody, request: Request, config: Config, clock: Clock) -> list[Path]:
-        """Write them and return their paths."""
-        colors = None if config.map is None or dressed.fit is None else map_colors(dressed.fit, config.map)
-        if self.mesh is not None:
-            with clock.stage("mesh file"):
-                dressed.write(self.mesh, colors)
-        if self.picture is not None:
-            with clock.stage("picture"):
-                options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(config.map)]}
-                render_picture(
-                    self.picture,
-                    (dressed.body.vertices, dressed.body.faces),
-                    (dressed.vertices, dressed.faces),
-                    views=[float(v) if v.lstrip("-").isdigit() else v for v in config.views],
-                    height=config.height,
-                    **options,
-                )
-        if self.report is not None:
-            write_text(self.report, json.dumps(record(dressed, request.name), indent=2) + "\n")
-        return [path for path in (self.mesh, self.picture, self.report) if path is not None]
-
-
-def _plan(config: Config) -> tuple[list[Request], list[Target]]:
+def _plan(config: Config, look: Look) -> tuple[list[Request], list[Target]]:
     """What to drape and where to write it; everything that can be refused is refused before anything is computed."""
-    if config.batch is None:
-        if config.out is not None:
-            check_suffix(config.out)
-        if config.picture is not None:
-            check_picture_path(config.picture)
-        if config.smpl is not None and config.pose is not None:
-            raise ValueError("--pose is for the networks' body; leave it out with --smpl")
-        if config.garment is not None and config.cut != Cut():
+    look.check()
+    config.own.placing.check()
+    if config.refine is not None and len(config.refine) > 1:
+        raise ValueError(f"--refine takes one number of steps or none, got {' '.join(map(str, config.refine))}")
+    if config.refine:
+        check_range("--refine", config.refine[0], 1, 10_000, "steps")
+    if config.refine is not None and config.simulate:
+        raise ValueError("give either --refine or --simulate: one starts from the learned drape, the other without")
+    _area(config)
+    if config.smpl is not None and config.pose is not None:
+        raise ValueError("--pose is for the networks' body; leave it out with --smpl")
+    planned = _plan_one(config) if config.batch is None else _plan_batch(config, config.batch)
+    for name in ("garment", "pose", "smpl", "weights", "batch"):
+        if getattr(config, name) is not None:
+            check_file(f"--{name}", getattr(config, name))
+    return planned
+
+
+def _plan_one(config: Config) -> tuple[list[Request], list[Target]]:
+    if config.garment is None and config.own != OwnOptions():
+        raise ValueError("unit, up, turn, offset, pose, piece and settle describe a mesh of your own: give --garment")
+    if config.garment is not None:
+        if config.cut != Cut():
             raise ValueError("give either a design or --garment, not both")
-        request = Request("garment", config.cut, config.shape, config.fabric, config.garment)
-        return [request], [Target(config.out, config.picture, config.report)]
+        for name, given in (("triangle-area", config.triangle_area is not None), ("seed", config.seed != 0)):
+            if given:
+                raise ValueError(f"--{name} makes the mesh of a design; --garment brings its own: leave it out")
+    target = Target(config.out, config.picture, config.report)
+    target.check()
+    return [Request("garment", config.cut, config.shape, config.fabric, config.garment)], [target]
+
+
+def _plan_batch(config: Config, batch: Path) -> tuple[list[Request], list[Target]]:
     for name in ("picture", "report"):
         if getattr(config, name) is not None:
             raise ValueError(f"--{name} is for one garment; with --batch use --out DIRECTORY and --pictures")
@@ -180,32 +180,11 @@ def _plan(config: Config) -> tuple[list[Request], list[Target]]:
         raise ValueError("--batch needs --out DIRECTORY for its results")
     if config.out.suffix.lower() in WRITERS or config.out.is_file():
         raise ValueError(f"with --batch, --out must be a directory, got {str(config.out)!r}")
-    requests = [replace(r, fabric=r.fabric or config.fabric) for r in read_requests(config.batch)]
-    targets = [
-        Target(
-            config.out / f"{r.name}.{config.format}", config.out / f"{r.name}.png" if config.pictures else None, None
-        )
-        for r in requests
-    ]
+    check_target(config.out / TABLE)
+    requests = [replace(r, fabric=r.fabric or config.fabric) for r in read_requests(batch)]
+    targets = []
+    for request in requests:
+        picture = config.out / f"{request.name}.png" if config.pictures else None
+        targets.append(Target(config.out / f"{request.name}.{config.format}", picture))
+        targets[-1].check()
     return requests, targets
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    flat = [_flatten(row) for row in rows]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(flat[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(flat)
-    write_text(path, text.getvalue())
-
-
-def _flatten(row: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            flat |= {f"{key}_{inner}": number for inner, number in value.items()}
-        elif isinstance(value, list):
-            flat[key] = " ".join(f"{number:g}" for number in value)
-        else:
-            flat[key] = value
-    return flat

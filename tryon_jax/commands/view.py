@@ -5,12 +5,12 @@ tryon view --garment my_dress.obj
 tryon view --smpl SMPL_FEMALE.npz --port 8081
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from tryon_jax.body import load_smpl
-from tryon_jax.mesh.repair import load_garment
 from tryon_jax.tryon import load_model, load_pretrained
+from tryon_jax.wear.own import OwnOptions, bring_own
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,8 @@ class Config:
     """Options of `tryon view`."""
 
     garment: Path | None = None
-    """Mesh of your own garment to begin with: .obj, .glb, .gltf or .ply, worn by the mean body in T-pose."""
+    """Mesh of your own garment to begin with: .obj, .glb, .gltf or .ply, its place on the body is found."""
+    own: OwnOptions = field(default_factory=OwnOptions)
     smpl: Path | None = None
     """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     host: str = "127.0.0.1"
@@ -36,9 +37,11 @@ def main(config: Config) -> None:
         from tryon_jax.viewer.page_model import UploadedMesh
     except ImportError as error:
         raise ImportError(f"the viewer needs viser: pip install 'tryon_jax[viewer]' ({error})") from error
-    own = None if config.garment is None else UploadedMesh(str(config.garment), load_garment(config.garment))
     own_body = None if config.smpl is None else load_smpl(config.smpl)
     model = load_pretrained() if config.weights is None else load_model(config.weights)
+    own = None
+    if config.garment is not None:
+        own = UploadedMesh(str(config.garment), bring_own(config.garment, model.body, config.own))
     named = {"--smpl": config.smpl, "--weights": config.weights}
     source = tuple(word for option, path in named.items() if path is not None for word in (option, str(path)))
     print("getting ready …", flush=True)

@@ -3,7 +3,7 @@
 What cannot be repaired without guessing (holes, edges of three faces, a one-sided surface) is an error that says where.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,11 @@ from scipy.spatial import cKDTree
 from tryon_jax.checks import check_choice, check_file, check_finite
 from tryon_jax.mesh.quality import areas
 from tryon_jax.mesh.topology import border_loops, directed_edges, edge_keys, hinges, inspect_topology, unique_edges
-
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-"""Units of length that files come in, metres."""
+from tryon_jax.mesh.units import UNITS
 
 GUESSED = ("m", "cm", "mm")
-"""Units that are told by size: no garment can be meant in two of them. Inches have to be named."""
+"""Units that are told by size: no garment can be meant in two of them. Others have to be named here; with a body to
+measure by, `tryon_jax.wear.intake` tells them too."""
 
 SIZE = (0.24, 2.4)
 """Largest extent of a garment, metres: what lies outside is in another unit or no garment."""
@@ -71,6 +70,19 @@ class LoadedGarment:
         """Triangles of the largest piece."""
         return self.pieces[0].faces
 
+    def joined(self) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]:
+        """Vertices, metres, and triangles of all pieces together."""
+        starts = np.cumsum([0, *(len(piece.vertices) for piece in self.pieces[:-1])])
+        faces = [piece.faces + start for piece, start in zip(self.pieces, starts, strict=True)]
+        return np.concatenate([piece.vertices for piece in self.pieces]), np.concatenate(faces)
+
+    def moved(self, vertices: Float[np.ndarray, "V 3"]) -> "LoadedGarment":
+        """The same with other vertices, as `joined` lists them."""
+        ends = np.cumsum([len(piece.vertices) for piece in self.pieces])
+        parts = np.split(np.asarray(vertices), ends[:-1])
+        pieces = [replace(piece, vertices=part) for piece, part in zip(self.pieces, parts, strict=True)]
+        return replace(self, pieces=tuple(pieces))
+
     def texture(self) -> tuple[Float[np.ndarray, "U 2"], Int[np.ndarray, "F 3"]] | tuple[None, None]:
         """Texture coordinates of all pieces together and their use by face corners; nothing where a piece has none."""
         uv = [piece.uv for piece in self.pieces if piece.uv is not None]
@@ -98,19 +110,39 @@ def load_garment(path: str | Path, unit: str = "auto", up: str = "y") -> LoadedG
         ValueError: for another format, a file without triangles, coordinates that are not finite, a size that is no
             garment's in any unit, edges with more than two faces, holes, or a surface with one side only.
     """
-    file = check_file("garment", path)
-    check_choice("mesh format", file.suffix.lower(), FORMATS)
     check_choice("unit", unit, ("auto", *UNITS))
     check_choice("up axis", up, ("y", "z"))
-    try:
-        # An OBJ's materials are other files and are not wanted; of a GLB trimesh reads UVs with the material only.
-        loaded = trimesh.load_scene(file, process=False, skip_materials=file.suffix.lower() == ".obj")
-    except Exception as error:  # Loaders raise whatever their parsers do.
-        raise ValueError(f"garment {str(file)!r} cannot be read as {file.suffix}: {error}") from error
-    vertices, faces, uv = _gather(loaded, str(file))
+    vertices, faces, uv = read_triangles(path)
     if up == "z":
         vertices = vertices[:, [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
-    return repair_mesh(vertices, faces, uv, unit=unit, name=str(file))
+    return repair_mesh(vertices, faces, uv, unit=unit, name=str(Path(path).expanduser()))
+
+
+def read_triangles(
+    path: str | Path,
+) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"], Float[np.ndarray, "V 2"] | None]:
+    """All triangles of an OBJ, GLB, glTF or PLY file as they are: vertices in its units, faces, and uv where given.
+
+    Raises:
+        FileNotFoundError: where there is no such file.
+        ValueError: for another format, a file that cannot be read, or one without triangles.
+    """
+    file = check_file("garment", path)
+    suffix = file.suffix.lower()
+    if suffix == ".mhclo":
+        raise ValueError(
+            f"garment {str(file)!r} is bound to vertices of MakeHuman's base mesh, which is not part of this package; "
+            "give the .obj beside it, which is placed by its shape"
+        )
+    check_choice("mesh format", suffix, FORMATS)
+    if suffix in (".glb", ".gltf") and b"KHR_draco_mesh_compression" in file.read_bytes():
+        raise ValueError(f"garment {str(file)!r} is compressed with Draco, which is not supported: export it without")
+    try:
+        # An OBJ's materials are other files and are not wanted; of a GLB trimesh reads UVs with the material only.
+        loaded = trimesh.load_scene(file, process=False, skip_materials=suffix == ".obj")
+    except Exception as error:  # Loaders raise whatever their parsers do.
+        raise ValueError(f"garment {str(file)!r} cannot be read as {suffix}: {error}") from error
+    return _gather(loaded, str(file))
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:
@@ -160,6 +192,27 @@ def repair_mesh(
     repairs: list[str] = []
     check_choice("unit", unit, ("auto", *UNITS))
     vertices = vertices * _scale(vertices[np.unique(faces)], unit, name, repairs)
+    clean = clean_mesh(vertices, faces, uv, name)
+    for piece in clean.pieces:
+        refuse_holes(piece, name)
+    return LoadedGarment(clean.pieces, (*repairs, *clean.repairs))
+
+
+def clean_mesh(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    uv: Float[np.ndarray, "V 2"] | None = None,
+    name: str = "mesh",
+) -> LoadedGarment:
+    """What `repair_mesh` does in any unit of length: all of it but the unit and the look for holes.
+
+    Raises:
+        ValueError: arrays of other shapes or with indices out of range, coordinates that are not finite, no triangles,
+            edges with more than two faces, or a surface with one side only.
+    """
+    _check_arrays(vertices, faces, name)
+    vertices = check_finite(f"vertices of {name}", vertices).astype(float)
+    repairs: list[str] = []
     faces_uv = faces.astype(np.int64)
     vertices, faces = _weld(vertices, faces_uv, repairs)
     keep = _worthwhile(vertices, faces, repairs)
@@ -224,7 +277,7 @@ def _weld(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> tuple[
 
 def _worthwhile(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> np.ndarray:
     """Faces with three different corners, area, and no twin."""
-    flat = areas(vertices, faces) <= 1e-12
+    flat = areas(vertices, faces) <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 2
     flat |= (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     rows = np.sort(faces, axis=1)
     _, first = np.unique(rows, axis=0, return_index=True)
@@ -243,7 +296,7 @@ def _refuse_crowded_edges(vertices: np.ndarray, faces: np.ndarray, name: str) ->
     if len(crowded):
         x, y, z = vertices[crowded[0]].mean(axis=0)
         raise ValueError(
-            f"{name} has {len(crowded)} edges with more than two faces, the first near ({x:.3f}, {y:.3f}, {z:.3f}) m: "
+            f"{name} has {len(crowded)} edges with more than two faces, the first near ({x:.3f}, {y:.3f}, {z:.3f}): "
             "separate the sheets that meet there"
         )
 
@@ -322,17 +375,7 @@ def _finish(
         faces, faces_uv = faces[:, [0, 2, 1]], faces_uv[:, [0, 2, 1]]
         loops = [loop[::-1] for loop in loops]
 
-    def around(loop: np.ndarray) -> float:
-        return float(np.linalg.norm(vertices[loop] - vertices[np.roll(loop, 1)], axis=1).sum())
-
-    loops.sort(key=around, reverse=True)
-    for loop in loops:
-        if around(loop) < SMALLEST_OPENING:
-            x, y, z = vertices[loop].mean(axis=0)
-            raise ValueError(
-                f"{name} has a hole of {len(loop)} edges, {around(loop):.3f} m around, near "
-                f"({x:.3f}, {y:.3f}, {z:.3f}) m: fill it"
-            )
+    loops.sort(key=lambda loop: _around(vertices, loop), reverse=True)
     own_uv = own_faces_uv = None
     if uv is not None:
         used_uv, inverse = np.unique(faces_uv, return_inverse=True)
@@ -341,6 +384,23 @@ def _finish(
     if not report.is_manifold:
         raise ValueError(f"{name} is no clean surface after all repairs: {report}")
     return Piece(vertices, faces, own_uv, own_faces_uv, tuple(loops)), inside_out
+
+
+def _around(vertices: np.ndarray, loop: np.ndarray) -> float:
+    """Length of an open border."""
+    return float(np.linalg.norm(vertices[loop] - vertices[np.roll(loop, 1)], axis=1).sum())
+
+
+def refuse_holes(piece: Piece, name: str) -> None:
+    """Raise `ValueError` for an open border of a piece in metres that is too short for an arm."""
+    for loop in piece.loops:
+        length = _around(piece.vertices, loop)
+        if length < SMALLEST_OPENING:
+            x, y, z = piece.vertices[loop].mean(axis=0)
+            raise ValueError(
+                f"{name} has a hole of {len(loop)} edges, {length:.3f} m around, near ({x:.3f}, {y:.3f}, {z:.3f}) m: "
+                "fill it"
+            )
 
 
 def _closed_volume(vertices: np.ndarray, faces: np.ndarray, loops: list[np.ndarray]) -> float:

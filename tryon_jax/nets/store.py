@@ -85,8 +85,14 @@ def read_record(path: str | Path) -> dict[str, Any]:
     return json.loads(metadata["record"])
 
 
-def load_store(path: str | Path, expected: Mapping[str, Any]) -> dict[str, Array]:
+_PRECISIONS = {np.dtype(np.float32), np.dtype(np.float64)}
+
+
+def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: bool = False) -> dict[str, Array]:
     """The arrays of a store by name, checked against `expected`, which has a shape and a dtype for each name.
+
+    With `any_precision`, arrays in single precision are taken where double is expected and the other way round, and
+    stay as they are stored: what JAX expects depends on `jax_enable_x64`, what a file holds does not.
 
     Raises:
         ValueError: an array is missing, superfluous, not finite, or of another shape or type; the first are listed.
@@ -102,6 +108,8 @@ def load_store(path: str | Path, expected: Mapping[str, Any]) -> dict[str, Array
         found, wanted = arrays[name], (tuple(expected[name].shape), np.dtype(expected[name].dtype))
         if found.dtype == np.float16 and wanted[1] == np.float32:
             found = arrays[name] = found.astype(np.float32)
+        if any_precision and {found.dtype, wanted[1]} <= _PRECISIONS:
+            wanted = (wanted[0], found.dtype)
         if (found.shape, found.dtype) != wanted:
             faults.append(f"{name} is {found.dtype}{list(found.shape)}, not {wanted[1]}{list(wanted[0])}")
         elif not np.isfinite(found).all():

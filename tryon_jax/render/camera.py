@@ -5,8 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from tryon_jax.checks import check_choice, check_finite
+
 VIEWS = {"front": 0.0, "three-quarter": 35.0, "side": 90.0, "back": 180.0}
 """Angle of each named view, degrees that the camera goes round the subject towards its left."""
+
+
+def view_angle(view: str | float) -> float:
+    """Degrees of a view: one of `VIEWS` by its name, or a number, also as text.
+
+    Raises:
+        ValueError: another name, or a number that is not finite.
+    """
+    if isinstance(view, str) and view not in VIEWS:
+        try:
+            view = float(view)
+        except ValueError:
+            check_choice("view", view, (*VIEWS, "degrees"))
+    angle = VIEWS[view] if isinstance(view, str) else float(view)
+    return float(check_finite("view", angle))
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 
 from tryon_jax.checks import check_choice, check_finite, check_range
 from tryon_jax.files.export import CLOTH, SKIN
-from tryon_jax.render.camera import VIEWS, Camera
+from tryon_jax.render.camera import Camera, view_angle
 from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, to_image
 from tryon_jax.render.scene import Scene, build_scene, srgb_value
@@ -87,8 +87,8 @@ def draw(
     """
     if not views:
         raise ValueError("views must name at least one view")
-    check_range("picture height", height, 16, 8192, "pixels")
-    angles = [VIEWS[check_choice("view", v, VIEWS)] if isinstance(v, str) else float(v) for v in views]
+    check_height(height)
+    angles = [view_angle(view) for view in views]
     clean = _checked("body", body)
     scene = build_scene(
         clean,
@@ -99,6 +99,11 @@ def draw(
     if focus is None:
         focus = focus_points(body, garment, crop)
     return srgb_value(_film(_views(scene, angles, focus, height)))
+
+
+def check_height(height: int) -> None:
+    """Raise `ValueError` for a height in pixels that no picture has."""
+    check_range("picture height", height, 16, 8192, "pixels")
 
 
 def focus_points(body: Mesh, garment: Mesh | None, crop: str) -> Float[np.ndarray, "N 3"]:

@@ -68,7 +68,7 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
         return named
 
     # Shapes only: nothing is initialised.
-    arrays = store.load_store(path, jax.eval_shape(expected))
+    arrays = store.load_store(path, jax.eval_shape(expected), any_precision=True)
     structure, names = built[0]
     parameters = jax.tree.unflatten(structure, [arrays[name] for name in names])
     return TryOnModel(**parameters, body=body, config=config)

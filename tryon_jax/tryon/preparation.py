@@ -177,9 +177,7 @@ def _load_own(mesh: str | Path | LoadedGarment | tuple[np.ndarray, np.ndarray]) 
 
 
 def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: int | None) -> Garment:
-    starts = np.cumsum([0] + [len(piece.vertices) for piece in loaded.pieces])
-    vertices = np.concatenate([piece.vertices for piece in loaded.pieces])
-    faces = np.concatenate([piece.faces + start for piece, start in zip(loaded.pieces, starts, strict=False)])
+    vertices, faces = loaded.joined()
     distance, _ = cKDTree(np.asarray(model.body.v_template)).query(vertices)
     if np.median(distance) > _MAX_MEDIAN_DISTANCE:
         raise ValueError(

@@ -186,7 +186,8 @@ class Page:
         self._changed()
 
     def _take_upload(self, file: viser.UploadedFile) -> None:
-        self._wear(read_upload(file.name, file.content))
+        session = self.model.session
+        self._wear(read_upload(file.name, file.content, lambda path, name: session.bring(path, label=name)))
 
     def _wear(self, own: UploadedMesh | None) -> None:
         """Put on a mesh of the visitor's own, or go back to the pattern."""
@@ -198,7 +199,7 @@ class Page:
             handle.disabled = own is not None
         controls.to_pattern.visible = controls.own.visible = own is not None
         if own is not None:
-            controls.own.content = "  \n".join([f"wearing **{own.name}**", *own.loaded.repairs])
+            controls.own.content = "  \n".join([f"wearing **{own.name}**", *own.remarks])
         self._changed(own=own)
 
     # Work

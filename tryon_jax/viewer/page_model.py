@@ -14,10 +14,11 @@ from jaxtyping import Float, Int
 from tryon_jax.garment import build_template
 from tryon_jax.mesh.repair import LoadedGarment
 from tryon_jax.nets.mlp import apply_mean_drape
-from tryon_jax.training.protocol import EXTENT
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.types import Body
 from tryon_jax.wear.dressed import DressedBody
+from tryon_jax.wear.gate import known_range
+from tryon_jax.wear.own import OwnGarment
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.stopwatch import Stopwatch
@@ -41,7 +42,12 @@ class UploadedMesh:
 
     name: str
     """The file's, for words and commands."""
-    loaded: LoadedGarment
+    loaded: LoadedGarment | OwnGarment
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What was found and changed, one sentence each."""
+        return self.loaded.remarks if isinstance(self.loaded, OwnGarment) else self.loaded.repairs
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,7 @@ class PageModel:
         self.session = Session(model, body=own_body, one_size=True)
         count = self.session.num_betas
         # What the networks were trained on; betas of another body are standard deviations too.
-        self.beta_ranges = tuple(EXTENT[k] if own_body is None and k < len(EXTENT) else 2.0 for k in range(count))
+        self.beta_ranges = known_range(count) if own_body is None else (2.0,) * count
         self._template = jax.jit(apply_mean_drape)
         self._fixed_layers: WeakKeyDictionary[PreparedGarment, dict[str, ShownMesh]] = WeakKeyDictionary()
         # Pages share what is prepared, and one drape at a time is faster than two that fight for the processor.

@@ -9,8 +9,9 @@ from typing import Any
 import viser
 
 from tryon_jax.checks import check_choice
-from tryon_jax.mesh.repair import FORMATS, load_garment
+from tryon_jax.mesh.repair import FORMATS, LoadedGarment, load_garment, read_triangles
 from tryon_jax.viewer.page_model import UploadedMesh
+from tryon_jax.wear.own import OwnGarment
 
 MAX_BYTES = 20_000_000
 """Largest file that is taken; a garment of 100,000 vertices as an OBJ file is about half of it."""
@@ -25,11 +26,20 @@ def check_size(name: str, size: int) -> None:
         raise ValueError(f"{name!r} has {size / 1e6:.1f} MB, but at most {MAX_BYTES / 1e6:g} MB are taken")
 
 
-def read_upload(name: str, content: bytes) -> UploadedMesh:
+def read_upload(
+    name: str,
+    content: bytes,
+    bring: Callable[[Path, str], LoadedGarment | OwnGarment] = lambda path, _: load_garment(path),
+) -> UploadedMesh:
     """The garment in an uploaded file.
 
+    Args:
+        name: The file's.
+        content: Its bytes.
+        bring: Reads the file at a path under a name; `Session.bring` also puts it on the body and settles it there.
+
     Raises:
-        ValueError: too large a file or mesh, another format, or no garment (see `load_garment`).
+        ValueError: too large a file or mesh, another format, or no garment (see `bring`).
     """
     shown = Path(name.replace("\\", "/")).name
     check_size(shown, len(content))
@@ -39,12 +49,12 @@ def read_upload(name: str, content: bytes) -> UploadedMesh:
         path = Path(folder) / f"upload{suffix}"
         path.write_bytes(content)
         try:
-            loaded = load_garment(path)
+            count = len(read_triangles(path)[0])
+            if count > MAX_VERTICES:
+                raise ValueError(f"{shown!r} has {count} vertices, but at most {MAX_VERTICES} are taken")
+            loaded = bring(path, shown)
         except ValueError as error:
             raise ValueError(str(error).replace(str(path), shown)) from error
-    count = sum(len(piece.vertices) for piece in loaded.pieces)
-    if count > MAX_VERTICES:
-        raise ValueError(f"{shown!r} has {count} vertices, but at most {MAX_VERTICES} are taken")
     return UploadedMesh(shown, loaded)
 
 

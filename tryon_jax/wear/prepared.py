@@ -9,6 +9,8 @@ from tryon_jax.garment import Design, GarmentMesh, placement
 from tryon_jax.mesh.repair import LoadedGarment
 from tryon_jax.tryon import Garment, TryOnModel, prepare, prepare_mesh
 from tryon_jax.wear.fit import pattern_of
+from tryon_jax.wear.own import OwnGarment
+from tryon_jax.wear.simulate import Pattern
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +30,17 @@ class PreparedGarment:
     has_pattern: bool = True
     """False for a mesh whose `uv` is only its triangles laid flat one by one."""
     repairs: tuple[str, ...] = ()
-    """What was changed in a mesh of the user's own, one sentence each."""
+    """What was found and changed in a mesh of the user's own, one sentence each."""
 
     @property
     def design(self) -> Design | None:
         """The design, where it was made from one."""
         return None if self.mesh is None else self.mesh.design
+
+    @property
+    def pattern(self) -> Pattern:
+        """Mesh and rest shape."""
+        return Pattern(self.faces, self.uv, self.faces_uv)
 
     def start(self) -> Float[np.ndarray, "V 3"]:
         """Where a simulation begins, metres: flat panels round the body, or the user's mesh on the mean body."""
@@ -46,12 +53,24 @@ def prepared_design(model: TryOnModel, mesh: GarmentMesh, bucket: int | None = N
     return PreparedGarment(garment, mesh.faces, mesh.uv, mesh.faces_uv, str(mesh.design), mesh)
 
 
-def prepared_own(model: TryOnModel, loaded: LoadedGarment, label: str) -> PreparedGarment:
+def prepared_own(model: TryOnModel, own: LoadedGarment | OwnGarment, label: str) -> PreparedGarment:
     """The garment of a user's mesh, as it hangs on the mean body.
 
     Raises:
         ValueError: The mesh is not near the mean body.
     """
+    if isinstance(own, OwnGarment):
+        garment, pattern = prepare(model, mesh=own.loaded), own.pattern
+        return PreparedGarment(
+            garment,
+            pattern.faces,
+            pattern.uv,
+            pattern.faces_uv,
+            label,
+            has_pattern=own.has_pattern,
+            repairs=own.remarks,
+        )
+    loaded = own
     garment = prepare(model, mesh=loaded)
     uv, faces_uv = loaded.texture()
     pattern, corners = pattern_of(garment.mean_vertices, garment.faces, uv, faces_uv)

@@ -19,20 +19,23 @@ from jaxtyping import Float
 from tryon_jax.body import MeasurementFit, betas_from_measurements, check_betas, shape_body
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.body.measurements import measure_vertices
-from tryon_jax.checks import check_choice
+from tryon_jax.checks import check_choice, check_file
 from tryon_jax.contact.push_out import CLEARANCE, push_out
 from tryon_jax.garment import Design, remesh
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.graph.build import closest_body_vertices
-from tryon_jax.mesh.repair import LoadedGarment, load_garment
-from tryon_jax.physics.fabrics import known_fabric
+from tryon_jax.mesh.repair import LoadedGarment
+from tryon_jax.physics.fabrics import fabric_names, known_fabric, load_fabric
 from tryon_jax.tryon import TryOnModel, config_space, design_of, drape_stages, load_pretrained
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody, ShapedBody
 from tryon_jax.wear.fit import measure_fit
+from tryon_jax.wear.gate import Verdict, judge, judge_betas, known_range
 from tryon_jax.wear.other_body import OtherBody, prepare_other_body
+from tryon_jax.wear.own import OwnGarment, OwnOptions, bring_own
 from tryon_jax.wear.posing import pose_dressed, soft_skinning
 from tryon_jax.wear.prepared import PreparedGarment, prepared_design, prepared_own
+from tryon_jax.wear.simulate import Progress, Simulator
 from tryon_jax.wear.stopwatch import Stopwatch
 
 Kept = TypeVar("Kept")
@@ -111,31 +114,35 @@ class Session:
         self,
         design: DesignLike = None,
         *,
-        mesh: str | Path | LoadedGarment | None = None,
+        mesh: str | Path | LoadedGarment | OwnGarment | None = None,
+        own: OwnOptions | None = None,
         label: str | None = None,
         seed: int = 0,
         stopwatch: Stopwatch | None = None,
+        progress: Progress | None = None,
     ) -> PreparedGarment:
         """A garment ready to drape; the last ones are kept.
 
         Args:
             design: As in `tryon_jax.prepare`.
-            mesh: In place of a design: a mesh of the user's own as it hangs on the mean body, a file or what
-                `load_garment` returned.
+            mesh: In place of a design: a file with a mesh of the user's own, which is put on the mean body and settled
+                there (see `bring`); or such a mesh as it hangs on the mean body, from `bring` or `mesh.load_garment`.
+            own: What is known of the file.
             label: What to call a mesh; by default its file's name.
             seed: Another seed gives another mesh of the same design.
-            stopwatch: Takes the time of "pattern and mesh" or "mesh", and of "graph".
+            stopwatch: Takes the time of "pattern and mesh" or "own mesh", and of "graph".
+            progress: Told while a mesh settles.
 
         Raises:
             ValueError: Unknown parameters, values out of range, a design and a mesh at once, or a mesh that cannot be
-                repaired or is not near the mean body.
+                repaired, put on the body or settled there.
             FileNotFoundError: There is no such mesh file.
         """
         watch = stopwatch or Stopwatch()
         if mesh is not None:
             if design is not None:
                 raise ValueError("prepare takes a design or a mesh, not both")
-            return self._prepare_own(mesh, label, watch)
+            return self._prepare_own(mesh, label, own or OwnOptions(), watch, progress)
         wanted = design_of(self.space, design)
         key = (str(wanted), tuple(float(v) for v in wanted.values), seed)
 
@@ -148,20 +155,64 @@ class Session:
 
         return self._keep(self._garments, key, make, _GARMENTS)
 
-    def _prepare_own(self, mesh: str | Path | LoadedGarment, label: str | None, watch: Stopwatch) -> PreparedGarment:
-        if isinstance(mesh, LoadedGarment):
-            loaded, key = mesh, (id(mesh), label)
+    def _prepare_own(
+        self,
+        mesh: str | Path | LoadedGarment | OwnGarment,
+        label: str | None,
+        options: OwnOptions,
+        watch: Stopwatch,
+        progress: Progress | None,
+    ) -> PreparedGarment:
+        if isinstance(mesh, str | Path):
+            path = check_file("garment", mesh)
+            key: Hashable = (path, path.stat().st_mtime_ns, label, options)
         else:
-            path = Path(mesh)
-            with watch.stage("mesh"):
-                loaded = load_garment(path)
-            key, label = (path, path.stat().st_mtime_ns), label or path.name
+            key = (id(mesh), label)
 
         def make() -> PreparedGarment:
+            own = mesh
+            if isinstance(own, str | Path):
+                own = self.bring(own, options, label=label, stopwatch=watch, progress=progress)
             with watch.stage("graph"):
-                return prepared_own(self.model, loaded, label or "mesh")
+                return prepared_own(self.model, own, label or (own.name if isinstance(own, OwnGarment) else "mesh"))
 
         return self._keep(self._garments, key, make, _GARMENTS)
+
+    def bring(
+        self,
+        mesh: str | Path,
+        options: OwnOptions | None = None,
+        *,
+        label: str | None = None,
+        stopwatch: Stopwatch | None = None,
+        progress: Progress | None = None,
+    ) -> OwnGarment:
+        """A garment of the user's own from a file: put on the networks' mean body and settled there by simulation.
+
+        Args:
+            mesh: An OBJ, GLB, glTF or PLY file.
+            options: What is known of it; unit, axes, origin, pose and pieces are found where they are not given.
+            label: What to call it; by default its file's name.
+            stopwatch: Takes the time of "own mesh".
+            progress: Told while it settles.
+
+        Raises:
+            FileNotFoundError: There is no such file.
+            ValueError: It cannot be read or repaired, lies nowhere on the body, or does not settle.
+        """
+        with (stopwatch or Stopwatch()).stage("own mesh"):
+            simulator = self._mean_simulator if options is None or options.settle else None
+            return bring_own(mesh, self.model.body, options, simulator=simulator, progress=progress, name=label)
+
+    @cached_property
+    def simulator(self) -> Simulator:
+        """The solver for the body that is dressed."""
+        return Simulator(self.body)
+
+    @cached_property
+    def _mean_simulator(self) -> Simulator:
+        """The solver for the networks' body."""
+        return self.simulator if self.other is None else Simulator(self.model.body)
 
     @cached_property
     def _bucket(self) -> int:
@@ -239,6 +290,96 @@ class Session:
                 )
         return DressedBody(body, garment, fabric, vertices=fine, smooth=smooth, fine=fine)
 
+    def refine(
+        self,
+        dressed: DressedBody,
+        steps: int | None = None,
+        *,
+        fabric: str | None = None,
+        stopwatch: Stopwatch | None = None,
+        progress: Progress | None = None,
+    ) -> DressedBody:
+        """The same brought to rest by the simulator: the folds of that fabric.
+
+        Args:
+            dressed: From `drape`.
+            steps: Implicit steps at most; None to rest.
+            fabric: Any fabric of `physics.fabrics`; by default the one that was draped.
+            stopwatch: Takes the time of "simulation".
+            progress: Told while it runs.
+
+        Raises:
+            ValueError: An unknown fabric, or steps outside 1 to 10,000.
+            Diverged: The simulation left the numbers.
+        """
+        fabric = check_choice("fabric", fabric or dressed.fabric, fabric_names())
+        with (stopwatch or Stopwatch()).stage("simulation"):
+            result = self.simulator.refine(
+                dressed.vertices, dressed.garment.pattern, load_fabric(fabric), dressed.body.betas, steps, progress
+            )
+        return replace(
+            dressed, fabric=fabric, vertices=result.vertices, simulated=result, pushed=None, fit=None, verdict=None
+        )
+
+    def simulate(
+        self,
+        garment: PreparedGarment,
+        betas: Betas = (),
+        *,
+        fabric: str | None = None,
+        stopwatch: Stopwatch | None = None,
+        progress: Progress | None = None,
+    ) -> DressedBody:
+        """The garment dressed by the simulator alone: from its panels, or from a mesh as it hangs on the mean body.
+
+        Args:
+            garment: From `prepare`.
+            betas: As in `shape`.
+            fabric: Any fabric of `physics.fabrics`; the model's first by default.
+            stopwatch: Takes the time of "body" and "simulation".
+            progress: Told while it runs.
+
+        Raises:
+            ValueError: An unknown fabric, or betas as in `shape`.
+            Diverged: The simulation left the numbers.
+        """
+        watch = stopwatch or Stopwatch()
+        fabric = check_choice("fabric", fabric or self.fabrics[0], fabric_names())
+        body = self.shape(betas, stopwatch=watch)
+        with watch.stage("simulation"):
+            result = self.simulator.dress(garment.start(), garment.pattern, load_fabric(fabric), body.betas, progress)
+        drape = result.vertices
+        return DressedBody(body, garment, fabric, vertices=drape, smooth=drape, fine=drape, simulated=result)
+
+    def judge(self, dressed: DressedBody, *, stopwatch: Stopwatch | None = None) -> DressedBody:
+        """The same with the verdict of the gate (`wear.gate`); measured where it was not.
+
+        `stopwatch` takes the time of "gate".
+        """
+        watch = stopwatch or Stopwatch()
+        if dressed.fit is None:
+            dressed = self.measure(dressed, stopwatch=watch)
+        assert dressed.fit is not None
+        garment = dressed.garment
+        with watch.stage("gate"):
+            verdict = judge(
+                dressed.vertices,
+                garment.faces,
+                garment.uv,
+                garment.faces_uv,
+                self.body,
+                dressed.body.vertices,
+                mean=garment.garment.mean_vertices,
+                pushed=dressed.pushed,
+                clearance=dressed.fit.clearance,
+            )
+            far = self.judge_body(dressed.body)
+        return replace(dressed, verdict=Verdict((*far.findings, *verdict.findings)))
+
+    def judge_body(self, body: ShapedBody) -> Verdict:
+        """Whether the networks know bodies of this shape."""
+        return judge_betas(body.known_betas, known_range(self.model.config.num_betas))
+
     def push_out(
         self, dressed: DressedBody, clearance: float = CLEARANCE, *, stopwatch: Stopwatch | None = None
     ) -> DressedBody:
@@ -302,7 +443,7 @@ class Session:
         clearance: float | None = CLEARANCE,
         stopwatch: Stopwatch | None = None,
     ) -> DressedBody:
-        """Prepare, drape, push out of the body and measure, in one call.
+        """Prepare, drape, push out of the body, measure and judge, in one call.
 
         Args:
             garment: From `prepare`, or a design as there.
@@ -318,7 +459,7 @@ class Session:
         dressed = self.drape(prepared, betas, fabric=fabric, stopwatch=stopwatch)
         if clearance is not None:
             dressed = self.push_out(dressed, clearance, stopwatch=stopwatch)
-        return self.measure(dressed, stopwatch=stopwatch)
+        return self.judge(dressed, stopwatch=stopwatch)
 
     def _skinning(self, garment: PreparedGarment) -> Float[np.ndarray, "V J"]:
         """Skinning weights of the garment on the networks' body."""

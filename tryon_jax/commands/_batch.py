@@ -1,0 +1,156 @@
+"""A batch of garments from a CSV file: checked as a whole first, written row by row, continued where it stopped.
+
+The table `fit.csv` has the same columns whatever the rows hold. A row that fails has its reason there, and the others
+go on. A row is done again only when it failed, when its files are gone, or when something else is asked for.
+"""
+
+import csv
+import hashlib
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from tryon_jax.commands._answer import Treatment, answer, check
+from tryon_jax.commands._clock import Clock
+from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._report import record, report_lines
+from tryon_jax.commands._request import Request
+from tryon_jax.commands._say import say
+from tryon_jax.files.atomic import write_text
+from tryon_jax.physics.dressing import Diverged
+from tryon_jax.wear.fit import EASE_AT
+from tryon_jax.wear.gate import Refused
+from tryon_jax.wear.session import Session
+
+TABLE = "fit.csv"
+"""The table of a batch, in its directory."""
+FAILED = "failed"
+"""Outcome of a row that could not be draped; the others are those of the gate."""
+
+
+def columns(parameters: Sequence[str]) -> list[str]:
+    """Columns of the table: the same for every batch of one design space."""
+    girths = [
+        f"{kind}_{place}"
+        for kind in ("body_girth", "garment_girth", "ease", "girth_stretch", "pull")
+        for place in EASE_AT
+    ]
+    return [
+        *("name", "outcome", "error", "findings", "garment"),
+        *(f"design_{name}" for name in parameters),
+        *("betas", "fabric", "vertices"),
+        *girths,
+        *("too_tight", "tension_95", "tension_max", "vertices_inside", "deepest_inside", "order"),
+    ]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Requests with the files that they make, in one folder."""
+
+    folder: Path
+    requests: Sequence[Request]
+    targets: Sequence[Target]
+    treatment: Treatment
+    look: Look
+    pose: Float[np.ndarray, "J 3"] | None
+    options: str
+    """Everything else that the results depend on, as text."""
+
+    def check(self, session: Session) -> None:
+        """Look at every row before any is draped; raises `ValueError` that names all that cannot be."""
+        bad = []
+        for number, request in enumerate(self.requests, start=1):
+            try:
+                check(session, request, self.treatment)
+            except (ValueError, OSError) as error:
+                bad.append(f"row {number} ({request.name}): {error}")
+        if bad:
+            raise ValueError(f"{len(bad)} of {len(self.requests)} rows cannot be draped: {'; '.join(bad)}")
+
+    def run(self, session: Session, clock: Clock) -> list[str]:
+        """Drape what is not done yet; returns the names of the rows that failed."""
+        names = columns(session.space.names)
+        done = self._read(names)
+        rows: dict[str, dict[str, str]] = {}
+        failed = []
+        for request, target in zip(self.requests, self.targets, strict=True):
+            order = self._order(request)
+            before = done.get(request.name)
+            if before is not None and before["order"] == order and _is_done(before, target):
+                say(f"-- {request.name}: done before")
+                rows[request.name] = before
+                continue
+            say(f"-- {request.name}")
+            row = self._row(session, request, target, clock)
+            rows[request.name] = {name: _cell((row | {"order": order}).get(name)) for name in names}
+            if row.get("error"):
+                failed.append(request.name)
+            # Rows of before that are still to come are kept, so that an interrupted run loses nothing.
+            self._write(names, [rows.get(r.name) or done.get(r.name) for r in self.requests])
+        self._write(names, [rows.get(r.name) for r in self.requests])
+        return failed
+
+    def _row(self, session: Session, request: Request, target: Target, clock: Clock) -> dict[str, Any]:
+        """Drape one row and write its files; what goes wrong becomes part of the record."""
+        try:
+            dressed, remarks = answer(session, request, self.treatment, clock, self.pose)
+            written = target.write(dressed, request.name, self.look, clock)
+        except (Refused, Diverged) as error:
+            say(f"refused  {error}")
+            return {"name": request.name, "outcome": "refused", "error": str(error)}
+        except (ValueError, TypeError, OSError, FloatingPointError) as error:
+            say(f"failed   {error}")
+            return {"name": request.name, "outcome": FAILED, "error": str(error)}
+        say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written))
+        return _flatten(record(dressed, request.name))
+
+    def _order(self, request: Request) -> str:
+        """A fingerprint of what is asked for."""
+        return hashlib.sha256(f"{request!r} {self.options}".encode()).hexdigest()[:12]
+
+    def _read(self, names: Sequence[str]) -> dict[str, dict[str, str]]:
+        """Rows of an earlier run, by name; none where the table is another's."""
+        path = self.folder / TABLE
+        if not path.is_file():
+            return {}
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.DictReader(stream)
+            if list(reader.fieldnames or ()) != list(names):
+                return {}
+            return {row["name"]: row for row in reader}
+
+    def _write(self, names: Sequence[str], rows: Sequence[Mapping[str, str] | None]) -> None:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(names), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows([row for row in rows if row is not None])
+        write_text(self.folder / TABLE, text.getvalue())
+
+
+def _is_done(row: Mapping[str, str], target: Target) -> bool:
+    return not row["error"] and all(path.is_file() for path in target.paths)
+
+
+def _flatten(row: Mapping[str, Any]) -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}_{inner}": number for inner, number in value.items()}
+        else:
+            flat[key] = value
+    return flat
+
+
+def _cell(value: Any) -> str:
+    """A value as one cell: lists with spaces or semicolons between, nothing for what is not there."""
+    if value is None:
+        return ""
+    if isinstance(value, list | tuple):
+        return "; ".join(value) if value and isinstance(value[0], str) else " ".join(f"{number:g}" for number in value)
+    return str(value)

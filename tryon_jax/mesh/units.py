@@ -1,0 +1,13 @@
+"""The unit of length of a file, told by the size of what it shows."""
+
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+"""Units of length that files come in, metres."""
+
+PERSON = (1.0, 2.4)
+"""Largest extent of a grown person in T-pose, metres: the ends are less than an inch's centimetres apart, so that one
+number fits one unit only."""
+
+
+def fitting_units(size: float, low: float, high: float) -> list[str]:
+    """The units in which a length of `size` is within `low` to `high` metres, in the order of `UNITS`."""
+    return [unit for unit, metres in UNITS.items() if low <= size * metres <= high]
