@@ -14,11 +14,6 @@ from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import StageOptions
 
 
-def _stage(steps: int) -> StageOptions:
-    default = StageOptions()
-    return replace(default, loop=replace(default.loop, steps=steps, evaluate_every=min(500, steps)))
-
-
 @dataclass(frozen=True)
 class Config:
     """Where from, where to, and how long; a stopped run continues."""
@@ -31,12 +26,16 @@ class Config:
     """Configuration of the networks; with -node in the paper's form, with the betas at each node."""
     reference: Literal["smoothed", "paper"] = "smoothed"
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
-    smooth: StageOptions = field(default_factory=lambda: _stage(8000))
-    """Training of R_smooth."""
-    fine: StageOptions = field(default_factory=lambda: _stage(12000))
-    """Training of R_fine, for each fabric."""
-    collisions: CollisionOptions = field(default_factory=CollisionOptions)
-    """The collision step, for each fabric; no steps leave it out."""
+    smooth_steps: int = 6000
+    """Steps of R_smooth's training."""
+    fine_steps: int = 12000
+    """Steps of R_fine's, for each fabric."""
+    collision_steps: int = 1500
+    """Steps of the collision step, for each fabric; none leave it out."""
+    shapes: int = 16
+    """Body shapes of each garment in a batch."""
+    evaluate_every: int = 1000
+    """Steps from one validation to the next."""
     processes: int = min(2, os.cpu_count() or 1)
     """Fabrics that are trained side by side, one core each; 1 uses all cores for one after the other."""
 
@@ -45,9 +44,17 @@ def main(config: Config) -> None:
     """Run the stages; those that are done already take no time."""
     if not (config.run / "mean" / "curve.json").exists():
         train_mean.main(train_mean.Config(config.data, config.run, config.size, config.reference))
-    train_smooth.main(train_smooth.Config(config.data, config.run, config.smooth))
+    train_smooth.main(train_smooth.Config(config.data, config.run, _options(config, config.smooth_steps)))
     with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
-        train_fine.main(train_fine.Config(config.data, config.run, (), config.fine), pool)
-        if config.collisions.loop.steps:
-            step = train_collisions.Config(config.run, (), config.data, config.collisions)
-            train_collisions.main(step, pool)
+        train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, config.fine_steps)), pool)
+        if config.collision_steps:
+            step = CollisionOptions()
+            every = min(step.loop.evaluate_every, config.collision_steps)
+            step = replace(step, loop=replace(step.loop, steps=config.collision_steps, evaluate_every=every))
+            train_collisions.main(train_collisions.Config(config.run, (), config.data, step), pool)
+
+
+def _options(config: Config, steps: int) -> StageOptions:
+    default = StageOptions()
+    loop = replace(default.loop, steps=steps, evaluate_every=min(config.evaluate_every, steps))
+    return replace(default, loop=loop, shapes=config.shapes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from experiments._curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
+from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import fit_collisions, model_path
 
 
@@ -18,8 +19,8 @@ class Config:
     """Folder of the run, with R_fine trained."""
     fabrics: tuple[str, ...] = ()
     """Fabrics to fine-tune; all of the model's when left out."""
-    data: Path | None = None
-    """Folder of the simulated dataset, for `--replay` alone."""
+    data: Path | None = field(default_factory=default_root)
+    """Folder of the simulated dataset, some of whose drapes are replayed."""
     collisions: CollisionOptions = field(default_factory=CollisionOptions)
 
 

@@ -102,7 +102,7 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
 
     (tmp_path / "model.safetensors").write_bytes(model_path(run).read_bytes())
     loop = LoopOptions(steps=6, evaluate_every=6)
-    options = CollisionOptions(loop, pool=2, held_out=1, shapes=4)
+    options = CollisionOptions(loop, pool=2, held_out=1, shapes=4, replay=0.0)
     for bad, message in ((0.5, "replay = 0.5 needs the folder of a dataset"), (1.0, "replay = 1 is outside")):
         with pytest.raises(ValueError, match=message):
             fit_collisions(tmp_path, [FABRIC], replace(options, replay=bad))

@@ -54,13 +54,13 @@ class CollisionOptions:
     """Garments of other random designs and topologies that choose the weights."""
     garments: int = 1
     """Garments in a batch."""
-    shapes: int = 8
+    shapes: int = 16
     """Random body shapes of each."""
     margin: float = 2e-3
     """Clearance asked for, metres."""
-    anchor: float = 1.0
+    anchor: float = 0.3
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
-    replay: float = 0.0
+    replay: float = 0.5
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
     R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
     distance: Distance = "plain"

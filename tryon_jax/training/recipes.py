@@ -69,7 +69,7 @@ class StageOptions:
     )
     garments: int = 4
     """Garments in a batch."""
-    shapes: int = 32
+    shapes: int = 16
     """Body shapes of each garment in a batch: with fields they share one pass of the network."""
     design_dropout: float = 0.1
     """Share of the garments in a batch whose nodes are not told the design, as those of a mesh without one."""
