@@ -16,6 +16,11 @@ SECTIONS = {
         "What the networks learn from and are measured against: 201 body shapes along 25 directions of two betas, "
         "half of them for tests, as in the paper; designs beyond its 19 are extra.",
     ),
+    "bodies": (
+        "How many bodies a design needs",
+        "Beyond the paper: drapes of one garment over bodies are nearly a linear space, so few bodies of many designs "
+        "say more than many bodies of few.",
+    ),
     "accuracy": (
         "Accuracy",
         "Distance of each garment vertex from the simulation, on body shapes that no training has seen. Every table "
