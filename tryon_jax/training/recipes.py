@@ -182,8 +182,7 @@ def _train_fine(fabric: str, root: Path, run: Path, options: StageOptions) -> tu
 def _fit_fabrics(
     run: Path, fabrics: Sequence[str], pool: Executor | None, train: Callable[..., Any], name: str, *arguments: Any
 ) -> TryOnModel:
-    """One stage for each fabric; results are put into the model by this process alone, as they come."""
-    model = load_model(model_path(run))
+    """One stage for each fabric; results are put into the model by this process, as they come."""
     if pool is None:
         found = ((fabric, train(fabric, *arguments)) for fabric in fabrics)
     else:
@@ -191,9 +190,9 @@ def _fit_fabrics(
         found = ((futures[future], future.result()) for future in as_completed(futures))
     for fabric, result in found:
         if result is not None:
-            model = with_fine(model, fabric, result[0])
-            _save(run, model, f"{name}-{fabric}", result[1])
-    return model
+            # Read again: another run of this program may have finished another fabric meanwhile.
+            _save(run, with_fine(load_model(model_path(run)), fabric, result[0]), f"{name}-{fabric}", result[1])
+    return load_model(model_path(run))
 
 
 def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOptions) -> tuple[list[StageSet], str]:
