@@ -1,8 +1,11 @@
 """Collect the records of the experiments into docs/RESULTS.md, the paper's claims beside our numbers."""
 
+import functools
+import hashlib
 import importlib
 import os
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +111,8 @@ def main(config: Config) -> None:
         "Made by `python -m experiments report` from the records in "
         f"`{config.results.as_posix() if not config.results.is_absolute() else config.results.name}`; nothing on this "
         "page is typed in by hand. Each section says on what hardware and from which weights and data it was measured. "
-        "Networks see training shapes, designs and topologies alone; weights are chosen on every eighth training "
-        "shape and on two designs that are never fitted; the test samples that are measured here choose nothing.",
+        "Networks see training shapes, designs and topologies alone; weights are chosen on every sixteenth training "
+        "shape and on designs that are never fitted; the test samples that are measured here choose nothing.",
         "",
     ]
     missing = []
@@ -135,7 +138,17 @@ def section(name: str, title: str, about: str, record: dict[str, Any], config: C
             continue
         link = Path(os.path.relpath(picture, config.out.parent)).as_posix()
         lines += ["", f"![{title}]({link})"]
+    if "model" in record and record["model"]["sha256"] != shipped_checksum():
+        lines += ["", "*Measured with other weights than those that come with the package now.*"]
     return [*lines, "", f"<sub>{provenance(record)}</sub>", ""]
+
+
+@functools.cache
+def shipped_checksum() -> str:
+    """SHA-256 of the weights in the package."""
+    return hashlib.sha256(
+        (resources.files("tryon_jax") / "data" / "models" / "small.safetensors").read_bytes()
+    ).hexdigest()
 
 
 def provenance(record: dict[str, Any]) -> str:
@@ -151,6 +164,8 @@ def provenance(record: dict[str, Any]) -> str:
     if "model" in record:
         stages = [_stage(stage, entry) for stage, entry in record["model"]["training"].items() if stage != "platform"]
         parts.append(f"weights {record['model']['sha256'][:12]} ({', '.join(stages) or 'untrained'})")
+    if "commit" in place:
+        parts.append(f"commit {place['commit'][:12]}{'' if place['clean'] else ', with changes'}")
     if "dataset" in record:
         parts.append(f"dataset {record['dataset']['checksum'][:12]}, {record['dataset']['garments']} garments read")
     return "; ".join(parts)

@@ -9,6 +9,7 @@ from tryon_jax.nets.config import Size, load_config
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.mean import MeanTraining
+from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.recipes import fit_mean, model_path
 
 
@@ -36,6 +37,7 @@ def main(config: Config) -> None:
         layout=dataset.layout,
         fabrics=dataset.fabrics,
         num_betas=dataset.num_betas,
+        beta_extent=EXTENT[: dataset.num_betas],
         target_area=dataset.target_area,
         reference=config.reference,
         num_parameters=len(load_design_space(dataset.layout).names),

@@ -5,6 +5,7 @@ import importlib.metadata
 import os
 import platform
 import re
+import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,24 @@ def environment() -> dict[str, Any]:
         "python": platform.python_version(),
         "tryon_jax": tryon_jax.__version__,
         **{name: importlib.metadata.version(name) for name in packages},
+        **_version_control(),
         **({"xla_flags": os.environ["XLA_FLAGS"]} if os.environ.get("XLA_FLAGS") else {}),
     }
+
+
+def _version_control() -> dict[str, Any]:
+    """The commit that this program was run from, and whether its tree was clean; nothing outside a git checkout."""
+    folder = Path(__file__).parent
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(
+            ("git", *arguments), cwd=folder, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        return {"commit": git("rev-parse", "HEAD"), "clean": not git("status", "--porcelain", "--untracked-files=no")}
+    except (OSError, subprocess.CalledProcessError):
+        return {}
 
 
 def _cpu_name() -> str:

@@ -83,7 +83,7 @@ def random_tears(model: TryOnModel, count: int, seed: int = 0) -> Iterator[Tear]
     """The most stretched edge of each of `count` random designs, in a topology of its own, on four random bodies."""
     rng = np.random.default_rng(seed)
     for k, design in enumerate(config_space(model.config).sample(count, seed)):
-        yield largest_strain(model, design, 10_000 + k, random_betas(rng, 4, model.config.num_betas))
+        yield largest_strain(model, design, 10_000 + k, random_betas(rng, 4, model.config.beta_ranges))
 
 
 def main(run: Path, name: str = "small") -> None:

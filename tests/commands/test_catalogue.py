@@ -46,7 +46,7 @@ def test_a_garment_does_not_depend_on_the_size_of_the_catalogue(model_file):
     assert (values[0] == values[1]).all()
     assert (values[0] != values[2]).all()
     assert (values[0] != values[3]).all()
-    few, many = catalogue_betas(0, np.arange(3), 2), catalogue_betas(0, np.arange(400), 2)
+    few, many = catalogue_betas(0, np.arange(3), EXTENT), catalogue_betas(0, np.arange(400), EXTENT)
     np.testing.assert_array_equal(few, many[:3])
     radius = np.linalg.norm(many / np.array(EXTENT), axis=1)
     assert radius.max() <= 1

@@ -13,7 +13,7 @@ from tryon_jax.commands._request import Request, resolve_betas, resolve_design
 from tryon_jax.contact.push_out import CLEARANCE
 from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.wear.dressed import DressedBody
-from tryon_jax.wear.gate import judge_betas, known_range
+from tryon_jax.wear.gate import judge_betas
 from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.session import Session
 
@@ -59,7 +59,7 @@ def check(session: Session, request: Request, treatment: Treatment) -> None:
     if not measurements:
         betas, _ = resolve_betas(session.body, request.shape, session.num_betas)
         if session.other is None and treatment.gate:
-            judge_betas(betas, known_range(session.num_betas)).check("this body")
+            judge_betas(betas, session.model.config.beta_ranges).check("this body")
 
 
 def answer(

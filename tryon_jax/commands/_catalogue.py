@@ -20,7 +20,6 @@ from tryon_jax.checks import check_choice, check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment import Design
 from tryon_jax.training.dataset import save_arrays
-from tryon_jax.training.protocol import EXTENT
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, load_model, load_pretrained, prepare
 
 
@@ -80,7 +79,7 @@ def drape_block(root: str, garment: int, block: int) -> str:
     count = min(config.block, config.bodies - first)
     # The last block is filled up with its own bodies: one shape of batch is compiled for each bucket.
     numbers = first + np.arange(config.block) % count
-    betas = catalogue_betas(config.seed, numbers, model.config.num_betas)
+    betas = catalogue_betas(config.seed, numbers, model.config.beta_ranges)
     vertices = prepared.unpad(_drape(model, prepared, betas, fabric=config.fabric))[:count]
     mesh = path.parent / "garment.npz"
     if not mesh.exists():
@@ -98,15 +97,14 @@ def catalogue_design(model: TryOnModel, seed: int, garment: int) -> Design:
     return space.from_values(space.minimum + share * (space.maximum - space.minimum))
 
 
-def catalogue_betas(seed: int, numbers: np.ndarray, num_betas: int) -> Float[np.ndarray, "B b"]:
-    """Betas of bodies by their numbers, evenly spread over the ellipse that the dataset covers."""
+def catalogue_betas(seed: int, numbers: np.ndarray, extent: tuple[float, ...]) -> Float[np.ndarray, "B b"]:
+    """Betas of bodies by their numbers, evenly spread over an ellipse with the half axes `extent`."""
     rows = []
     for number in numbers:
         rng = np.random.default_rng((seed, 1, int(number)))
-        direction = rng.normal(size=num_betas)
-        rows.append(direction / np.linalg.norm(direction) * rng.random() ** (1 / num_betas))
-    extent = np.array((*EXTENT, *(EXTENT[-1],) * num_betas)[:num_betas])
-    return (np.array(rows) * extent[None]).astype(np.float32)
+        direction = rng.normal(size=len(extent))
+        rows.append(direction / np.linalg.norm(direction) * rng.random() ** (1 / len(extent)))
+    return (np.array(rows) * np.array(extent)[None]).astype(np.float32)
 
 
 _drape = jax.jit(drape, static_argnames="fabric")

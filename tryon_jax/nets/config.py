@@ -33,6 +33,8 @@ class TryOnConfig:
     """Hidden neurons of R_mean."""
     num_betas: int = 2
     """Shape coefficients that the networks see."""
+    beta_extent: tuple[float, ...] = (3.0, 2.0)
+    """Half axes of the ellipse of betas that the networks were trained on: on the embedded body stature and build."""
     num_joints: int = 24
     """Skinning weights per node."""
     fabrics: tuple[str, ...] = ("gray-interlock",)
@@ -74,6 +76,11 @@ class TryOnConfig:
     """Betas are divided by this."""
     detail_scale: float = 0.01
     """Detail is divided by this, metres."""
+
+    @property
+    def beta_ranges(self) -> tuple[float, ...]:
+        """Largest magnitude of each beta that the networks were trained on; betas beyond `beta_extent` as its last."""
+        return tuple(self.beta_extent[min(k, len(self.beta_extent) - 1)] for k in range(self.num_betas))
 
     @property
     def position_features(self) -> int:

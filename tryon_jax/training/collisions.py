@@ -21,7 +21,6 @@ from tryon_jax.contact.collision_loss import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.stages import Distance, StageBatch, StageWeights, map_garments, stage_loss
 from tryon_jax.tryon import (
     Garment,
@@ -85,12 +84,12 @@ class CollisionBatch:
     betas: Float[ArrayLike, "G B b"]
 
 
-def random_betas(rng: np.random.Generator, count: int, num_betas: int) -> Float[np.ndarray, "N b"]:
-    """Shapes spread evenly over the ellipse that the dataset covers (over the interval for one beta)."""
-    direction = rng.normal(size=(count, num_betas))
+def random_betas(rng: np.random.Generator, count: int, extent: tuple[float, ...]) -> Float[np.ndarray, "N b"]:
+    """Shapes spread evenly over the ellipse with the half axes `extent` (over the interval for one beta)."""
+    direction = rng.normal(size=(count, len(extent)))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    radius = rng.random((count, 1)) ** (1 / num_betas)
-    return (direction * radius * np.array(EXTENT[:num_betas])[None]).astype(np.float32)
+    radius = rng.random((count, 1)) ** (1 / len(extent))
+    return (direction * radius * np.array(extent)[None]).astype(np.float32)
 
 
 def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
@@ -179,19 +178,19 @@ class CollisionTask:
         rng = np.random.default_rng(seed)
         shares = []
         for pooled in pool:
-            betas = random_betas(rng, self.options.shapes, self.model.config.num_betas)
+            betas = random_betas(rng, self.options.shapes, self.model.config.beta_ranges)
             shares.append(np.asarray(self._count(weights, pooled, betas)).mean())
         return float(np.mean(shares))
 
 
 def draw_collisions(
-    pool: Sequence[PooledGarment], options: CollisionOptions, num_betas: int, rng: np.random.Generator
+    pool: Sequence[PooledGarment], options: CollisionOptions, extent: tuple[float, ...], rng: np.random.Generator
 ) -> CollisionBatch:
     """A batch of garments that share a bucket, with random shapes."""
     first = pool[int(rng.integers(len(pool)))]
     group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
     chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
-    betas = np.stack([random_betas(rng, options.shapes, num_betas) for _ in chosen])
+    betas = np.stack([random_betas(rng, options.shapes, extent) for _ in chosen])
     pooled = PooledGarment(stack_garments([p.garment for p in chosen]), np.stack([p.nearest for p in chosen]))
     return CollisionBatch(pooled, betas)
 

@@ -260,7 +260,7 @@ def _train_collisions(
     def draw(rng: np.random.Generator) -> CollisionBatch | StageBatch:
         if source is not None and rng.random() < options.replay:
             return source.draw(rng)
-        return draw_collisions(pool, options, model.config.num_betas, rng)
+        return draw_collisions(pool, options, model.config.beta_ranges, rng)
 
     def evaluate(weights: StageWeights) -> float:
         return 100 * task.inside_share(weights, held, options.loop.seed)

@@ -18,6 +18,7 @@ from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_pa
 from tryon_jax.types import Body
 
 _BEFORE_FIELDS = {
+    "beta_extent": [3.0, 2.0],
     "conditioning": "node",
     "fields": 24,
     "coefficient_widths": [64, 64],

@@ -17,7 +17,6 @@ from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.types import Body
 from tryon_jax.wear.dressed import DressedBody
-from tryon_jax.wear.gate import known_range
 from tryon_jax.wear.own import OwnGarment
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
@@ -100,7 +99,7 @@ class PageModel:
         self.session = Session(model, body=own_body, one_size=True)
         count = self.session.num_betas
         # What the networks were trained on; betas of another body are standard deviations too.
-        self.beta_ranges = known_range(count) if own_body is None else (2.0,) * count
+        self.beta_ranges = model.config.beta_ranges if own_body is None else (2.0,) * count
         self._template = jax.jit(apply_mean_drape)
         self._fixed_layers: WeakKeyDictionary[PreparedGarment, dict[str, ShownMesh]] = WeakKeyDictionary()
         # Pages share what is prepared, and one drape at a time is faster than two that fight for the processor.

@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from tryon_jax.contact.push_out import PushedOut
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.metrics.strain import area_strain, edge_strain
-from tryon_jax.training.protocol import EXTENT
 from tryon_jax.types import Body
 
 Outcome = Literal["fine", "warning", "refused"]
@@ -157,11 +156,6 @@ def judge(
         crossed = self_intersecting_faces(vertices, faces)
         found.append(_found("crossing", float(crossed.mean()), places.name(vertices[np.unique(faces[crossed])])))
     return Verdict(tuple(finding for finding in found if finding is not None))
-
-
-def known_range(num_betas: int) -> tuple[float, ...]:
-    """The largest magnitude of each beta that the weights were trained on."""
-    return tuple(EXTENT[min(k, len(EXTENT) - 1)] for k in range(num_betas))
 
 
 def judge_betas(betas: Float[np.ndarray, " b"], known: Sequence[float]) -> Verdict:

@@ -30,7 +30,7 @@ from tryon_jax.tryon import TryOnModel, config_space, design_of, drape_stages, l
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody, ShapedBody
 from tryon_jax.wear.fit import measure_fit
-from tryon_jax.wear.gate import Verdict, judge, judge_betas, known_range
+from tryon_jax.wear.gate import Verdict, judge, judge_betas
 from tryon_jax.wear.other_body import OtherBody, prepare_other_body
 from tryon_jax.wear.own import OwnGarment, OwnOptions, bring_own
 from tryon_jax.wear.posing import pose_dressed, soft_skinning
@@ -378,7 +378,7 @@ class Session:
 
     def judge_body(self, body: ShapedBody) -> Verdict:
         """Whether the networks know bodies of this shape."""
-        return judge_betas(body.known_betas, known_range(self.model.config.num_betas))
+        return judge_betas(body.known_betas, self.model.config.beta_ranges)
 
     def push_out(
         self, dressed: DressedBody, clearance: float = CLEARANCE, *, stopwatch: Stopwatch | None = None
