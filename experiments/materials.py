@@ -16,6 +16,8 @@ from experiments._evaluate import (
     open_model,
 )
 from experiments._record import RESULTS, publish
+from tryon_jax.contact.push_out import push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import fold_statistics, vertex_distances
 from tryon_jax.render import SheetItem, contact_sheet
@@ -95,10 +97,13 @@ def main(config: Config) -> None:
     predictions = pipeline(shown, row, fabrics)
     body = body_vertices(model, shown.betas[row])[0], np.asarray(model.body.faces)
     count, faces = shown.garment.num_vertices, shown.garment.faces
+    predicted = [predictions[f].fine[0] for f in fabrics]
+    skin = ClosedSurface(body[0].astype(np.float64), body[1])
     items = [
         SheetItem(body, (drape, faces), f"{kind}: {fabric}", color)
         for kind, drapes in (
-            ("predicted", [predictions[f].fine[0] for f in fabrics]),
+            ("predicted", predicted),
+            ("as users get it, pushed out", [push_out(drape, faces, skin).vertices for drape in predicted]),
             ("simulated", [shown.drapes[f][row[0], :count] for f in fabrics]),
         )
         for fabric, drape, color in zip(fabrics, drapes, COLORS, strict=True)

@@ -37,11 +37,12 @@ def dihedral_angles(x: Float[Array, "V 3"], cloth: Cloth) -> tuple[Float[Array, 
 
 def hinge_stiffness(theta: Float[Array, " H"], cloth: Cloth, fabric: Fabric) -> Float[Array, " H"]:
     """k_e, N·m: bilinear in grain angle and curvature, the softer of the hinge's two sides."""
-    columns = fabric.bending.shape[1] - 1
-    curvature = jnp.clip(jnp.abs(theta) * cloth.hinge_curvature / CURVATURE_STEP, 0.0, columns - 1e-5)
-    column = curvature.astype(jnp.int32)
-    grain = jnp.clip(cloth.hinge_grain * (4 / jnp.pi), 0.0, 2 - 1e-6)
-    row = grain.astype(jnp.int32)
+    # The cell is clamped, not the value in it: at the end of the table the last entry counts whole.
+    columns, rows = fabric.bending.shape[1] - 1, fabric.bending.shape[0] - 1
+    curvature = jnp.clip(jnp.abs(theta) * cloth.hinge_curvature / CURVATURE_STEP, 0.0, columns)
+    column = jnp.minimum(curvature.astype(jnp.int32), columns - 1)
+    grain = jnp.clip(cloth.hinge_grain * (4 / jnp.pi), 0.0, rows)
+    row = jnp.minimum(grain.astype(jnp.int32), rows - 1)
     c, r = (curvature - column)[:, None], grain - row
     table = jnp.asarray(fabric.bending, theta.dtype)
     column = column[:, None]
