@@ -345,7 +345,7 @@ def _ratio(part: float | None, whole: float | None) -> float | None:
 
 
 def _average(by_fabric: Mapping[str, Mapping[str, Any]], key: str) -> float | None:
-    values = [entry[key] for entry in by_fabric.values() if entry[key] is not None]
+    values = [entry[key] for entry in by_fabric.values() if entry.get(key) is not None]
     return float(np.mean(values)) if values else None
 
 
