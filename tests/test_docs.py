@@ -129,3 +129,12 @@ def test_the_reference_has_every_public_name():
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"auto(?:function|class):: tryon_jax\.(\w+)$", text, re.MULTILINE))
     assert documented == set(tryon_jax.__all__)
+
+
+def test_the_files_that_contributors_are_sent_to_exist():
+    text = (ROOT / "docs" / "contributing.md").read_text(encoding="utf-8")
+    table = text[text.index("## Where to change what") : text.index("## What we write ourselves")]
+    library = Path(tryon_jax.__file__).parent.parent
+    for name in re.findall(r"`((?:tryon_jax|experiments|benchmarks|body)/[\w./]*)`", table):
+        places = (ROOT / name, library / name, library / "tryon_jax" / name)
+        assert any(place.exists() for place in places), name
