@@ -8,6 +8,7 @@ import ast
 import difflib
 import importlib
 import importlib.util
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -33,6 +34,10 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = find_commands(package)
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that knows no "²" shows a question mark and no traceback.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_overview(prog, commands))
         return 0 if arguments else 2
@@ -42,9 +47,10 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
         return 0
     name = name.replace("-", "_") if name.replace("-", "_") in commands else name
     if name not in commands:
-        near = difflib.get_close_matches(name, commands, n=3)
+        near = difflib.get_close_matches(name, [*commands, "--help", "--version"], n=3)
         hint = f" (did you mean {' or '.join(near)}?)" if near else ""
-        print(f"{prog}: error: unknown command {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
+        kind = "option" if name.startswith("-") else "command"
+        print(f"{prog}: error: unknown {kind} {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
         return 2
     return _run(f"{prog} {name}", f"{package}.{name}", rest)
 

@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 import textwrap
@@ -116,3 +117,28 @@ def test_an_unknown_experiment_fails(request):
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=request.config.rootpath)
     assert done.returncode == 2
     assert "unknown command 'no_such_experiment'" in done.stderr
+
+
+def test_unknown_options_before_a_command_are_corrected(capsys):
+    assert main(["--verison"]) == 2
+    assert "unknown option '--verison' (did you mean --version?)" in capsys.readouterr().err
+
+
+def test_lists_name_everything_that_can_be_asked_for(capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    knit = "gray-interlock: medium (187 g/m²), stretchy, soft"
+    for word in ("presets  ", "dress", "sleeve_length", knit, "neutral", "±3", "stature"):
+        assert word in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii"])
+def test_an_ascii_terminal_shows_what_it_can(tmp_path, encoding):
+    """With a reader that goes away at once the file is written all the same."""
+    command = [sys.executable, "-m", "tryon_jax", "pattern", "--target-area", "0.002", "--out", str(tmp_path / "a.obj")]
+    environment = os.environ | {"PYTHONIOENCODING": encoding, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "fabric" in done.stdout
+    assert (tmp_path / "a.obj").exists()

@@ -193,6 +193,14 @@ def test_z_up(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.vertices.max(axis=0), clean.vertices.max(axis=0), atol=1e-6)
 
 
+@pytest.mark.parametrize("corner", ["9", "0", "-4", "x", "5/1/1"])
+def test_faces_of_vertices_that_are_not_there(tmp_path: Path, corner: str) -> None:
+    path = tmp_path / "bad.obj"
+    path.write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 {corner}\n")
+    with pytest.raises(ValueError, match=r"bad\.obj', line 5: a face names vertex '.*' of 3 vertices"):
+        load_garment(path)
+
+
 def test_bad_files(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="garment: no file"):
         load_garment(tmp_path / "none.obj")

@@ -14,11 +14,12 @@ import numpy as np
 from tryon_jax.body import check_betas, load_body, load_smpl, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_vertices
+from tryon_jax.commands._output import Look, Target
 from tryon_jax.commands._request import BodyShape, resolve_betas
-from tryon_jax.files.atomic import write_text
-from tryon_jax.files.export import SKIN, check_suffix, mesh_part, write_mesh
+from tryon_jax.commands._say import say
+from tryon_jax.files.atomic import together, write_text
+from tryon_jax.files.export import SKIN, mesh_part, write_mesh
 from tryon_jax.render import render_picture
-from tryon_jax.render.image import check_picture_path
 from tryon_jax.types import Body
 
 
@@ -45,29 +46,25 @@ class Config:
 
 def main(config: Config) -> None:
     """Shape the body, write the files, and print its measurements."""
-    if config.out is not None:
-        check_suffix(config.out)
-    if config.picture is not None:
-        check_picture_path(config.picture)
+    target = Target(config.out, config.picture, config.report)
+    target.check()
+    Look(config.views, config.height).check()
     body = load_body(config.body) if config.smpl is None else load_smpl(config.smpl)
     check_betas(body, np.asarray(config.shape.betas, float))
     betas, remarks = resolve_betas(body, config.shape, body.num_betas)
     vertices = np.asarray(shape_body(body, betas)[0])
     measured = {key: float(value) for key, value in measure_vertices(vertices, load_landmarks(body)).items()}
-    for line in describe(body, betas, remarks, measured, config.shape.measurements()):
-        print(line)
     faces = np.asarray(body.faces)
-    if config.out is not None:
-        write_mesh(config.out, [mesh_part("body", vertices, faces, material=SKIN)])
-    if config.picture is not None:
-        views = [float(view) if view.lstrip("-").isdigit() else view for view in config.views]
-        render_picture(config.picture, (vertices, faces), views=views, height=config.height)
-    if config.report is not None:
-        record = {"body": body.name, "betas": [float(beta) for beta in betas], "measurements": measured}
-        write_text(config.report, json.dumps(record, indent=2) + "\n")
-    for path in (config.out, config.picture, config.report):
-        if path is not None:
-            print(f"wrote    {path}")
+    with together():
+        if config.out is not None:
+            write_mesh(config.out, [mesh_part("body", vertices, faces, material=SKIN)])
+        if config.picture is not None:
+            render_picture(config.picture, (vertices, faces), views=config.views, height=config.height)
+        if config.report is not None:
+            record = {"body": body.name, "betas": [float(beta) for beta in betas], "measurements": measured}
+            write_text(config.report, json.dumps(record, indent=2) + "\n")
+    lines = describe(body, betas, remarks, measured, config.shape.measurements())
+    say(*lines, *(f"wrote    {path}" for path in target.paths))
 
 
 def describe(

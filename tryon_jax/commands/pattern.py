@@ -10,6 +10,8 @@ from pathlib import Path
 
 from tryon_jax.checks import check_choice
 from tryon_jax.commands._request import Cut, resolve_design
+from tryon_jax.commands._say import say
+from tryon_jax.files.atomic import check_target, together
 from tryon_jax.garment import TARGET_AREA, GarmentMesh, load_design_space, remesh
 from tryon_jax.garment.curves import length
 from tryon_jax.garment.design import Design, DesignSpace
@@ -44,22 +46,22 @@ def main(config: Config) -> None:
     """Write what is asked for and print the pattern's measures."""
     if config.out is not None:
         check_choice("format of --out", config.out.suffix.lower(), (".svg", ".obj"))
+        check_target(config.out)
     if config.picture is not None:
         check_choice("format of --picture", config.picture.suffix.lower(), (".png", ".jpg", ".pdf", ".svg"))
+        check_target(config.picture)
     space = load_design_space(config.layout, config.parameters or None)
     design = resolve_design(space, config.cut)
     garment = remesh(space, design, target_area=config.target_area, seed=config.seed)
-    for line in describe(space, design, garment):
-        print(line)
-    if config.out is not None and config.out.suffix.lower() == ".svg":
-        write_svg(config.out, space, design, config.seam_allowance, config.hem_allowance)
-        print(f"wrote    {config.out}")
-    elif config.out is not None:
-        write_panels_obj(config.out, garment)
-        print(f"wrote    {config.out}")
-    if config.picture is not None:
-        picture_pattern(config.picture, space, garment)
-        print(f"wrote    {config.picture}")
+    with together():
+        if config.out is not None and config.out.suffix.lower() == ".svg":
+            write_svg(config.out, space, design, config.seam_allowance, config.hem_allowance)
+        elif config.out is not None:
+            write_panels_obj(config.out, garment)
+        if config.picture is not None:
+            picture_pattern(config.picture, space, garment)
+    written = [path for path in (config.out, config.picture) if path is not None]
+    say(*describe(space, design, garment), *(f"wrote    {path}" for path in written))
 
 
 def describe(space: DesignSpace, design: Design, garment: GarmentMesh) -> list[str]:

@@ -137,12 +137,30 @@ def read_triangles(
     check_choice("mesh format", suffix, FORMATS)
     if suffix in (".glb", ".gltf") and b"KHR_draco_mesh_compression" in file.read_bytes():
         raise ValueError(f"garment {str(file)!r} is compressed with Draco, which is not supported: export it without")
+    if suffix == ".obj":
+        _check_obj(file)
     try:
         # An OBJ's materials are other files and are not wanted; of a GLB trimesh reads UVs with the material only.
         loaded = trimesh.load_scene(file, process=False, skip_materials=suffix == ".obj")
     except Exception as error:  # Loaders raise whatever their parsers do.
         raise ValueError(f"garment {str(file)!r} cannot be read as {suffix}: {error}") from error
     return _gather(loaded, str(file))
+
+
+def _check_obj(file: Path) -> None:
+    """Refuse faces of vertices that are not there: trimesh counts such indices from the end, or fails without words."""
+    with file.open("rb") as stream:
+        count = sum(line.startswith((b"v ", b"v\t")) for line in map(bytes.lstrip, stream))
+    with file.open("rb") as stream:
+        for number, line in enumerate(stream, start=1):
+            words = line.split()
+            for corner in words[1:] if words and words[0] == b"f" else ():
+                text = corner.split(b"/")[0]
+                if not text.lstrip(b"-").isdigit() or not 1 <= abs(int(text)) <= count:
+                    shown = text.decode(errors="replace")
+                    raise ValueError(
+                        f"garment {str(file)!r}, line {number}: a face names vertex {shown!r} of {count} vertices"
+                    )
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray, name: str) -> None:

@@ -52,6 +52,11 @@ def write_words(image: "Image.Image", text: str, center: tuple[float, float], si
     ImageDraw.Draw(image).text(center, text, fill=_INK, font=ImageFont.load_default(size), anchor="mm")
 
 
+def scale_height(height: int) -> int:
+    """Pixels that the colour bar and its words take at the lower edge of a picture of this height."""
+    return int(66 * max(height / 900, 0.5))
+
+
 def draw_scale(image: "Image.Image", scale: ColorScale) -> None:
     """Draw the colour bar with its label and three numbers in the middle of the lower edge."""
     from PIL import Image

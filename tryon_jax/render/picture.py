@@ -10,7 +10,7 @@ from tryon_jax.checks import check_choice, check_finite, check_range
 from tryon_jax.files.export import CLOTH, SKIN
 from tryon_jax.render.camera import Camera, view_angle
 from tryon_jax.render.colors import ColorScale
-from tryon_jax.render.image import check_picture_path, draw_scale, save_image, to_image
+from tryon_jax.render.image import check_picture_path, draw_scale, save_image, scale_height, to_image
 from tryon_jax.render.scene import Scene, build_scene, srgb_value
 from tryon_jax.render.shade import Frame, render_view
 from tryon_jax.types import ArrayLike
@@ -54,16 +54,19 @@ def render_picture(
         ImportError: Pillow (the `pictures` extra) is not installed.
     """
     check_picture_path(path)
+    check_height(height)
+    # The colour bar has a band of its own: nothing of the body is behind it.
+    band = 0 if scale is None else scale_height(height)
     picture = draw(
         body,
         garment,
         views=views,
-        height=height,
+        height=max(height - band, 16),
         body_colors=body_colors,
         garment_colors=garment_colors,
         crop=crop,
     )
-    image = to_image(picture)
+    image = to_image(np.concatenate([picture, np.repeat(picture[-1:], band, axis=0)]))
     if scale is not None:
         draw_scale(image, scale)
     save_image(path, image)

@@ -16,6 +16,10 @@ _FLOOR_SAMPLES = 96
 _BORDER_STEP = 0.003
 
 
+NO_HEM = 10.0
+"""Metres: farther from a hem than any cloth. Not infinite, since the shading takes means with weights of zero."""
+
+
 @dataclass(frozen=True)
 class Scene:
     """Triangles with what does not depend on the camera: normals, colours and the sky's light on both sides."""
@@ -29,7 +33,7 @@ class Scene:
     sky: Float[np.ndarray, "V 2"]
     """Light of the sky on the front and on the back."""
     border: Float[np.ndarray, "V 1"]
-    """Distance from the cloth's open borders, metres; infinite where no hem is drawn."""
+    """Distance from the cloth's open borders, metres; `NO_HEM` where no hem is drawn."""
     floor: Float[np.ndarray, "N N 3"]
     """Points of the floor; rows along z, columns along x."""
     floor_sky: Float[np.ndarray, "N N"]
@@ -69,7 +73,7 @@ def build_scene(
     paints = zip((body_colors, garment_colors), counts, strict=False)
     colors = linear_light(np.concatenate([np.broadcast_to(paint, (count, 3)) for paint, count in paints]))
 
-    border = np.full((len(vertices), 1), np.inf)
+    border = np.full((len(vertices), 1), NO_HEM)
     # A map of measured colours is shown as it is, without hems.
     if garment is not None and garment_colors.ndim == 1:
         border[starts[1] :, 0] = _border_distance(garment[0].astype(np.float64), garment[1].astype(np.int64))
@@ -100,10 +104,10 @@ def build_scene(
 
 
 def _border_distance(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, " V"]:
-    """Distance of each vertex from hems, cuffs and neckline, metres; infinite for closed cloth."""
+    """Distance of each vertex from hems, cuffs and neckline, metres; `NO_HEM` for closed cloth."""
     edges = border_edges(faces, len(vertices))
     if not len(edges):
-        return np.full(len(vertices), np.inf)
+        return np.full(len(vertices), NO_HEM)
     start, along = vertices[edges[:, 0]], vertices[edges[:, 1]] - vertices[edges[:, 0]]
     count = np.ceil(np.linalg.norm(along, axis=1) / _BORDER_STEP).astype(int) + 1
     edge = np.repeat(np.arange(len(edges)), count)

@@ -46,6 +46,12 @@ class Garment:
     own: CarriedMesh | None = None
     """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
 
+    def __eq__(self, other: object) -> bool:
+        """Identity: whether arrays are equal is a question of its own, and one for each array."""
+        return self is other
+
+    __hash__ = object.__hash__
+
     @property
     def num_vertices(self) -> int:
         """Number of real vertices V; host side, one garment."""
