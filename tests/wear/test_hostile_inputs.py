@@ -47,7 +47,7 @@ def moved(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Path], Path]:
 
 
 def third_face() -> Mesh:
-    return np.concatenate([SHIRT, [[0.0, 0.2, 0.6]]]), np.concatenate([FACES, [[*FACES[0][:2], len(SHIRT)]]])
+    return np.concatenate([SHIRT, [[0.0, 0.2, 0.6]]]), np.concatenate([FACES, [[*FACES[400][:2], len(SHIRT)]]])
 
 
 def unwelded() -> Mesh:
