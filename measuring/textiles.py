@@ -15,6 +15,8 @@ from tryon_jax.physics.fabrics import GRID, Fabric, load_fabric
 from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 
 FAR = 5.0
+PINNED = 1e5
+"""N/m that hold a pinned vertex."""
 run_solver = jax.jit(solve)
 
 
@@ -153,7 +155,7 @@ def settle(
     current = start_at(points, cloth) if state is None else state
     springs = np.zeros(len(cloth.vertex_areas), np.float32)
     if pinned is not None:
-        springs[pinned] = 1.0
+        springs[pinned] = PINNED
     still = jnp.zeros_like(surface.vertices)
     steps, goal = 0, jnp.asarray(tolerance, jnp.float32)
     while steps < most:

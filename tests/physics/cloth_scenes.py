@@ -109,7 +109,7 @@ def run(
     """Some steps, all of them unless a tolerance is reached; `pinned` marks vertices that stay where they are."""
     springs = np.zeros(len(cloth.vertex_areas), np.asarray(cloth.vertex_areas).dtype)
     if pinned is not None:
-        springs[pinned] = 1.0
+        springs[pinned] = 1e7
     motion = jnp.zeros_like(surface.vertices) if motion is None else motion
     goal, most = jnp.asarray(tolerance, springs.dtype), jnp.asarray(steps, jnp.int32)
     return jitted_solve(state, cloth, fabric, surface, settings, motion, jnp.asarray(springs), goal, most)

@@ -36,7 +36,7 @@ def test_paths_are_where_the_docstring_says(tmp_path: Path) -> None:
     assert mesh_path(tmp_path, "tshirt-0") == tmp_path / "meshes/tshirt-0.npz"
     assert mean_path(tmp_path, "tshirt-0", "denim") == tmp_path / "mean/tshirt-0_denim.npz"
     assert ray_path(tmp_path, "tshirt-0", "denim", 3) == tmp_path / "rays/tshirt-0_denim_03.npz"
-    assert template_path(tmp_path, 12) == tmp_path / "templates/0012.npz"
+    assert template_path(tmp_path, "tshirt") == tmp_path / "templates/tshirt.npz"
 
 
 def test_folder_by_default(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -31,8 +31,6 @@ from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 
 GRAVITY = 9.81
 """m/s², along −y."""
-PIN = 1e8
-"""N/m by which pinned vertices are stiff in the linear solve."""
 COARSE_STEPS = 10
 """Steps for which a coarse correction serves: less than cloth needs to turn away from it."""
 
@@ -151,7 +149,7 @@ def _assemble(
     gradient = gradient + weight + normal_gradient(contact, cloth)
     gradient = gradient + (settings.law.tangential * cloth.vertex_areas)[:, None] * slip
 
-    inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0) + PIN * (pinned > 0)
+    inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0) + pinned
     diagonal = at_vertices + grip[:, None, None] * tangent
     diagonal = diagonal + inertia[:, None, None] * jnp.eye(3, dtype=dtype)[None]
     if pairs is not None:
@@ -187,7 +185,7 @@ def step(
 
     Args:
         surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
-        pinned: 1 for vertices that stay where they are, 0 for others.
+        pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
         pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
         coarse: helps the linear solver.
     """
@@ -203,9 +201,7 @@ def step(
         coarse,
     )
     length = jnp.sqrt((move * move).sum(-1) + 1e-20)
-    free = (cloth.active * (pinned == 0))[:, None]
-    # What is left of a pinned vertex's move would be a creep.
-    move = move * jnp.minimum(1.0, settings.max_move / length)[:, None] * (pinned == 0)[:, None]
+    move = move * jnp.minimum(1.0, settings.max_move / length)[:, None]
     dragged = (system.tangent * (move - system.motion)[:, None, :]).sum(-1)
     x, remainder = _add(state.x, state.remainder, move)
     new = ClothState(
@@ -215,6 +211,7 @@ def step(
         slip=jnp.where((contact.load > 0)[:, None], system.slip + dragged, 0.0),
         face=contact.point.face,
     )
+    free = (cloth.active * (pinned == 0))[:, None]
     scale = jnp.linalg.norm(mass * GRAVITY * cloth.active) + jnp.linalg.norm(contact.load)
     shape_weight = jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     report = StepReport(
