@@ -19,7 +19,7 @@ from benchmarks.record import table, write_record
 from tryon_jax.metrics.strain import edge_strain
 from tryon_jax.tryon import load_model, load_pretrained
 from tryon_jax.wear.dressed import DressedBody
-from tryon_jax.wear.gate import LIMITS, known_range
+from tryon_jax.wear.gate import LIMITS
 from tryon_jax.wear.session import Session
 
 
@@ -77,7 +77,7 @@ def main(config: Config) -> None:
 
 def random_case(session: Session, seed: int, case: int, bodies: int) -> dict[str, Any]:
     """Design, mesh, betas and fabric of one case, by its number."""
-    space, extent = session.space, known_range(session.num_betas)
+    space, extent = session.space, session.model.config.beta_ranges
     design_rng = np.random.default_rng((seed, 0, case // bodies))
     share = design_rng.random(len(space.names))
     mesh = int(design_rng.integers(2**31))

@@ -152,7 +152,8 @@ def test_render_picture_writes_views_side_by_side_with_a_scale(tmp_path):
         render_picture(path, mesh, height=150, body_colors=colors, scale=scale, views=("front", "back"))
         with Image.open(path) as image:
             assert image.height == 150
-            assert image.width == pytest.approx(300, rel=0.1)
+            # The scale has a band of its own below the views.
+            assert 200 < image.width < 300
 
 
 def test_contact_sheet_is_a_grid(tmp_path):

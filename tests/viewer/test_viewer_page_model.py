@@ -175,7 +175,7 @@ def test_the_command_line_makes_the_same(page, result, tmp_path, monkeypatch):
     )
     words = shlex.split(command_line(settings, page.session.space, ("--weights", "model.safetensors")))
     monkeypatch.chdir(tmp_path)
-    assert main([*words[1:], "--height", "40", "--views", "front"]) == 0
+    assert main([*words[1:], "--height", "40", "--views", "front", "--no-gate"]) == 0
     garment = trimesh.load("garment.glb", process=False).geometry["garment"]
     drape = page.compute(settings).layers["drape"]
     np.testing.assert_allclose(garment.triangles, drape.vertices[drape.faces], atol=1e-4)

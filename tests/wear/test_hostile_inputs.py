@@ -63,6 +63,7 @@ FINE = {
     "skirt": mesh_of(lambda: (SKIRT, SKIRT_FACES)),
     "obj": mesh_of(lambda: (SHIRT, FACES), ".obj"),
     "glb": mesh_of(lambda: (SHIRT, FACES), ".glb"),
+    "unused vertices": text(obj(np.concatenate([SHIRT, [[9.0, 9, 9]]]), FACES)),
     "obj of negative indices": text(obj(SHIRT, FACES - len(SHIRT) - 1)),
 }
 TOLD = {
@@ -90,7 +91,6 @@ TOLD = {
         mesh_of(lambda: (SHIRT[FACES].reshape(-1, 3), np.arange(FACES.size).reshape(-1, 3))),
         "welded",
     ),
-    "unused vertices": (text(obj(np.concatenate([SHIRT, [[9.0, 9, 9]]]), FACES)), "no face uses"),
     "two garments": (
         mesh_of(lambda: together((SHIRT, FACES), (SKIRT * [1.2, 1, 1.2], SKIRT_FACES))),
         "2 separate pieces",

@@ -13,7 +13,6 @@ from tryon_jax.commands._say import say
 from tryon_jax.garment import load_design_space
 from tryon_jax.nets.config import load_config
 from tryon_jax.physics.fabrics import GRID, GRID_LOW, fabric_names, load_fabric
-from tryon_jax.wear.gate import known_range
 
 _ZERO_STRAIN = round(-GRID_LOW * GRID)
 
@@ -37,7 +36,7 @@ def main(config: Config) -> None:
     ]
     lines += [f"fabric   {name}: {describe_fabric(name)}" for name in fabric_names()]
     lines.append("body     " + ", ".join(NAMES) + ", or a file of SMPL, SMPL-H or SMPL-X")
-    ranges = ", ".join(f"beta {k + 1} to ±{reach:g}" for k, reach in enumerate(known_range(learned.num_betas)))
+    ranges = ", ".join(f"beta {k + 1} to ±{reach:g}" for k, reach in enumerate(learned.beta_ranges))
     lines.append(f"betas    the weights know {ranges} standard deviations")
     lines += [
         f"measure  {name} {one.low:.2f} to {one.high:.2f} m, {one.standard}" for name, one in MEASUREMENTS.items()

@@ -184,8 +184,8 @@ class Simulator:
     def _dressed(self, vertices: np.ndarray, cloth: Cloth, fabric: Fabric, progress: Progress | None) -> Drape:
         """On the mean body: seams and contact first without weight, then to rest."""
         points = check_finite("vertices", np.asarray(vertices, np.float32))
-        mean = [0.0] * 2
-        drape = dress(points, cloth, fabric, self.obstacle, self.settings, self.equilibrium, mean, PIECE)
+        mean = np.zeros(min(2, self.obstacle.body.num_betas))
+        drape = dress(points, cloth, fabric, self.obstacle, self.settings, self.equilibrium, tuple(mean), PIECE)
         if progress is not None:
             progress(PIECE, float(drape.report.residual))
         return self._run(drape, cloth, fabric, closing(self.settings), DRESSING_STEPS - PIECE, progress, PIECE)
