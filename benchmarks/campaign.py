@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from benchmarks.record import table, write_record
+from benchmarks.record import write_record
+from measuring.records import table
 from tryon_jax.metrics.strain import edge_strain
 from tryon_jax.tryon import load_model, load_pretrained
 from tryon_jax.wear.dressed import DressedBody

@@ -1,10 +1,10 @@
 """What the campaign goes by: its cases repeat, and its look inside the body is right."""
 
 import numpy as np
-from flat_model import flat_model
-from physics.round_body import RADIUS, make_ball
 
 from benchmarks.campaign import inside_body, random_case
+from tests.flat_model import flat_model
+from tests.physics.round_body import RADIUS, make_ball
 from tryon_jax.wear.session import Session
 
 

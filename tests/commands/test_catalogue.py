@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from flat_model import flat_model
 
+from tests.flat_model import flat_model
 from tryon_jax.commands import _catalogue as catalogue
 from tryon_jax.commands._catalogue import CatalogueConfig, block_path, catalogue_betas, drape_block, open_catalogue
 from tryon_jax.training.dataset import load_arrays

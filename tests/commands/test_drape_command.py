@@ -4,8 +4,8 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from flat_model import flat_model
 
+from tests.flat_model import flat_model
 from tryon_jax.body import load_body
 from tryon_jax.cli import main
 from tryon_jax.garment import load_design_space

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from flat_model import flat_model
 from headless_browser import PROGRAM, Browser
 from PIL import Image
 
+from tests.flat_model import flat_model
 from tryon_jax.viewer import serve, simulation
 from tryon_jax.viewer.upload import MAX_BYTES
 from tryon_jax.wear import session

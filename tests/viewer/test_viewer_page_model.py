@@ -8,9 +8,9 @@ import jax
 import numpy as np
 import pytest
 import trimesh
-from flat_model import flat_model
 from PIL import Image
 
+from tests.flat_model import flat_model
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.render.fit_maps import MAPS, map_colors

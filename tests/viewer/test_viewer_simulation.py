@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from flat_model import flat_model
 
+from tests.flat_model import flat_model
 from tryon_jax.viewer.page_model import PageModel
 from tryon_jax.viewer.simulation import Simulation
 

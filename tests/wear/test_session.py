@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from flat_model import flat_model
 
 import tryon_jax as tj
+from tests.flat_model import flat_model
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.wear.stopwatch import Stopwatch

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from physics.round_body import RADIUS, make_ball
 
+from tests.physics.round_body import RADIUS, make_ball
 from tryon_jax.physics.dressing import Equilibrium
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.wear.simulate import NotSettled, Pattern, Simulator

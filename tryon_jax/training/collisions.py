@@ -19,6 +19,7 @@ from tqdm import tqdm
 from tryon_jax.body import shape_body, vertex_normals
 from tryon_jax.contact.collision_loss import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
+from tryon_jax.mesh.quality import edge_lengths
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.stages import Distance, StageBatch, StageWeights, map_garments, stage_loss
@@ -62,6 +63,11 @@ class CollisionOptions:
     replay: float = 0.5
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
     R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
+    stretch: float = 1e4
+    """Weight of edges that are stretched beyond `most_stretch` (see `excess_stretch`), which tear on bodies and designs
+    that no simulation has shown; 0 leaves them alone, as the paper does."""
+    most_stretch: float = 1.25
+    """Length over rest length in the pattern that costs nothing."""
     distance: Distance = "plain"
     """Distance of the replayed drapes: plain or squared, best as R_fine was trained (see `displacement_error`)."""
 
@@ -72,6 +78,8 @@ class PooledGarment:
 
     garment: Garment
     nearest: Int[ArrayLike, "*batch N"]
+    rest: Float[ArrayLike, "*batch F 3"]
+    """Lengths of each face's edges 0→1, 1→2 and 2→0 in the flat pattern, metres; 1 for padding."""
 
 
 @pytree
@@ -110,7 +118,27 @@ def pool_garment(model: TryOnModel, design: Design, topology: int, tree: cKDTree
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=topology)
     garment = prepare_mesh(model, mesh, bucket=training_bucket(mesh.num_vertices))
     nearest = tree.query(np.asarray(garment.graph.vertices))[1].astype(np.int32)
-    return PooledGarment(garment, nearest)
+    rest = np.ones(garment.graph.faces.shape, np.float32)
+    rest[: len(mesh.faces)] = edge_lengths(mesh.uv, mesh.faces_uv)
+    return PooledGarment(garment, nearest, rest)
+
+
+def excess_stretch(
+    vertices: Float[Array, "B N 3"], faces: Int[ArrayLike, "F 3"], rest: Float[ArrayLike, "F 3"], limit: float
+) -> Float[Array, ""]:
+    """Mean over edges and bodies of the square by which length over rest length exceeds `limit`.
+
+    Args:
+        vertices: Drapes, metres.
+        faces: Triangles.
+        rest: Lengths of their edges at rest, metres.
+        limit: Stretch that costs nothing.
+    """
+    corners = vertices[:, jnp.asarray(faces)]
+    along = jnp.roll(corners, -1, axis=2) - corners
+    length = jnp.sqrt((along * along).sum(-1) + 1e-12)
+    beyond = jnp.maximum(length / jnp.asarray(rest)[None] - limit, 0.0)
+    return (beyond * beyond).mean()
 
 
 class CollisionTask:
@@ -156,7 +184,9 @@ class CollisionTask:
             )
             return loss
 
-        return jax.vmap(one)(fine, betas).mean() / options.margin * COLLISION_WEIGHT + anchor
+        collisions = jax.vmap(one)(fine, betas).mean() / options.margin * COLLISION_WEIGHT
+        torn = excess_stretch(fine, garment.graph.faces, pooled.rest, options.most_stretch)
+        return collisions + options.stretch * torn + anchor
 
     def _inside(self, weights: StageWeights, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
         config, garment = self.model.config, pooled.garment
@@ -191,7 +221,8 @@ def draw_collisions(
     group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
     chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
     betas = np.stack([random_betas(rng, options.shapes, extent) for _ in chosen])
-    pooled = PooledGarment(stack_garments([p.garment for p in chosen]), np.stack([p.nearest for p in chosen]))
+    garments = stack_garments([p.garment for p in chosen])
+    pooled = PooledGarment(garments, np.stack([p.nearest for p in chosen]), np.stack([p.rest for p in chosen]))
     return CollisionBatch(pooled, betas)
 
 
