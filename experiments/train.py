@@ -30,7 +30,7 @@ class Config:
     """Steps of R_smooth's training."""
     fine_steps: int = 12000
     """Steps of R_fine's, for each fabric."""
-    collision_steps: int = 1500
+    collision_steps: int = 2000
     """Steps of the collision step, for each fabric; none leave it out."""
     shapes: int = 16
     """Body shapes of each garment in a batch."""
