@@ -30,7 +30,7 @@ def test_rounding_of_the_mean_drape_changes_no_hierarchy_and_moves_no_drape(mode
         garment = prepare_mesh(model, mesh)
         mean = garment.mean_vertices
         up = np.nextafter(mean, np.where(rng.random(mean.shape) < 0.5, np.inf, -np.inf).astype(mean.dtype))
-        shaken = mean + rng.choice([-1e-6, 1e-6], mean.shape).astype(mean.dtype)
+        shaken = mean + rng.uniform(-1e-6, 1e-6, mean.shape).astype(mean.dtype)
         drapes = garment.unpad(run(model, garment, SHAPES))
         for moved in (up, shaken):
             other = prepare_mesh(model, mesh, vertices=moved)
