@@ -39,7 +39,7 @@ def main(task: dict) -> None:
 def train(task: dict) -> None:
     """Train and print the curve and a sum over the weights as one line of JSON."""
     net = UNetConfig(widths=(6,), encoder_convs=1)
-    config = load_config("small", smooth=net, fine=net, num_levels=1)
+    config = load_config("small-node", smooth=net, fine=net, num_levels=1)
     model = init_model(jax.random.key(0), config, body=load_body())
     space = load_design_space()
     garments = []

@@ -20,7 +20,7 @@ def test_only_what_is_beyond_the_limit_counts(stretch, expected):
 
 def test_its_gradient_pulls_the_ends_together(x64):
     points = 1.6 * SQUARE.astype(np.float64)
-    check_grads(lambda x: excess_stretch(x, FACES, REST, 1.25), (points,), order=1, rtol=1e-5)
+    check_grads(lambda x: excess_stretch(jnp.asarray(x), FACES, REST, 1.25), (points,), order=1, rtol=1e-5)
     gradient = jax.grad(lambda x: excess_stretch(x, FACES, REST, 1.25))(points)[0]
     assert float(gradient[1, 0]) > 0
     np.testing.assert_allclose(gradient.sum(axis=0), 0.0, atol=1e-12)
