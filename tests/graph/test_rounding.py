@@ -32,10 +32,11 @@ def test_rounding_of_the_mean_drape_changes_no_hierarchy_and_moves_no_drape(mode
         up = np.nextafter(mean, np.where(rng.random(mean.shape) < 0.5, np.inf, -np.inf).astype(mean.dtype))
         shaken = mean + rng.uniform(-1e-6, 1e-6, mean.shape).astype(mean.dtype)
         drapes = garment.unpad(run(model, garment, SHAPES))
-        for moved in (up, shaken):
+        # A micrometre is amplified up to tenfold at single vertices; it moves nothing by jumps.
+        for moved, most in ((up, 1e-6), (shaken, 1.5e-5)):
             other = prepare_mesh(model, mesh, vertices=moved)
             assert_same_hierarchy(garment, other)
-            assert np.abs(other.unpad(run(model, other, SHAPES)) - drapes).max() < 1e-5
+            assert np.abs(other.unpad(run(model, other, SHAPES)) - drapes).max() < most
 
 
 def test_the_hierarchy_comes_from_the_flat_pattern(model: TryOnModel) -> None:
