@@ -29,7 +29,7 @@ LIMIT = 1e-4
 TORN = 1.0
 """Strain of an edge, against its length in the flat pattern, from which weights are refused."""
 STRETCHED = 0.5
-"""Strain from which `tryon drape` refuses a drape: how many there are is told."""
+"""Strain that no garment should reach: how many do is told."""
 RANDOM_DESIGNS = 200
 """Random designs, each in a topology of its own on four random bodies, that weights must drape untorn."""
 DESIGNS = ("tank", "tshirt", "sweater", "dress", "maxi-dress")

@@ -230,10 +230,10 @@ def displacement_scale(config: TryOnConfig, sets: Sequence[StageSet]) -> float:
     squares, count = 0.0, 0
     for s in sets:
         chosen = np.flatnonzero(s.train)[:: max(1, int(s.train.sum()) // 8)]
-        if s.inputs is None:
-            start = np.asarray(base_and_detail(config, s.garment)[0])[None]
-        else:
-            start = s.inputs[chosen] + np.asarray(fine_base(config, s.garment))[None]
+        base, detail = base_and_detail(config, s.garment)
+        start = np.asarray(base)[None]
+        if s.inputs is not None:
+            start = s.inputs[chosen] + np.asarray(fine_base(config, detail))[None]
         mask = np.asarray(s.garment.graph.mask)
         squares += float(((s.targets[chosen] - start)[:, mask] ** 2).sum())
         count += len(chosen) * int(mask.sum()) * 3

@@ -137,10 +137,10 @@ def drape_fields(
     if model.smooth.coefficients is None or fine.coefficients is None:
         raise ValueError('this model has no fields: it was made with conditioning="node"; use `drape`')
     garment = with_design(model, garment, design)
-    base, _ = base_and_detail(config, garment)
+    base, detail = base_and_detail(config, garment)
     parts = [
         StageFields(base, smooth_fields(config, model.smooth, garment), model.smooth.coefficients),
-        StageFields(fine_base(config, garment), fine_fields(config, fine, garment), fine.coefficients),
+        StageFields(fine_base(config, detail), fine_fields(config, fine, garment, detail), fine.coefficients),
     ]
     smooth_part, fine_part = _carry_fields(garment, *parts)
     return DrapeFields(smooth_part, fine_part, config.beta_scale, config.beta_periods)

@@ -55,11 +55,11 @@ def fine_stage(
     """
     _, detail = base_and_detail(config, garment)
     if config.conditioning == "fields":
-        moved = weighted_sum(fine_fields(config, stage, garment), coefficients(config, stage, betas))
+        moved = weighted_sum(fine_fields(config, stage, garment, detail), coefficients(config, stage, betas))
     else:
         features = fine_features(config, garment, jnp.moveaxis(smooth_vertices, 0, 1), detail, betas)
         moved = jnp.moveaxis(apply_stage(stage, garment.graph, features), 1, 0)
-    return smooth_vertices + (fine_base(config, garment)[None] + moved)
+    return smooth_vertices + (fine_base(config, detail)[None] + moved)
 
 
 def smooth_fields(config: TryOnConfig, stage: Stage, garment: Garment) -> Float[Array, "N 3 K"]:
@@ -67,9 +67,10 @@ def smooth_fields(config: TryOnConfig, stage: Stage, garment: Garment) -> Float[
     return _split_fields(apply_stage(stage, garment.graph, smooth_features(config, garment)))
 
 
-def fine_fields(config: TryOnConfig, stage: Stage, garment: Garment) -> Float[Array, "N 3 K"]:
-    """The displacement fields that R_fine predicts for a garment, metres; zero at padded nodes."""
-    _, detail = base_and_detail(config, garment)
+def fine_fields(
+    config: TryOnConfig, stage: Stage, garment: Garment, detail: Float[Array, "N 3"]
+) -> Float[Array, "N 3 K"]:
+    """The displacement fields that R_fine predicts for a garment with this detail, metres; zero at padded nodes."""
     vertices = jnp.asarray(garment.graph.vertices)[:, None, :]
     return _split_fields(apply_stage(stage, garment.graph, fine_features(config, garment, vertices, detail)))
 
@@ -117,9 +118,8 @@ def base_and_detail(config: TryOnConfig, garment: Garment) -> tuple[Float[Array,
     return (smoothed if config.reference == "smoothed" else vertices), vertices - smoothed
 
 
-def fine_base(config: TryOnConfig, garment: Garment) -> Float[Array, "N 3"]:
+def fine_base(config: TryOnConfig, detail: Float[Array, "N 3"]) -> Float[Array, "N 3"]:
     """What is added to M_smooth before R_fine's displacement, metres: M̄'s detail for the reference "smoothed"."""
-    _, detail = base_and_detail(config, garment)
     return detail if config.reference == "smoothed" else jnp.zeros_like(detail)
 
 
