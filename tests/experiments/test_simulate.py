@@ -48,7 +48,7 @@ def test_leftovers_of_killed_writers_go_when_they_are_old(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_killed_and_started_again_nothing_is_lost_or_doubled(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "experiments", "simulate", "--out", str(tmp_path / "set"), "--scale", "small"]
-    command += ["--betas", "1", "--rays", "0", "--templates", "0", "--processes", "1"]
+    command += ["--betas", "1", "--rays", "0", "--processes", "1"]
     surroundings = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
     mean = tmp_path / "set" / "mean"
     with subprocess.Popen(command, env=surroundings, stderr=subprocess.PIPE, start_new_session=True) as process:

@@ -106,7 +106,7 @@ def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: boo
     faults += [f"{name} is not part of the model" for name in arrays if name not in expected]
     for name in expected.keys() & arrays.keys():
         found, wanted = arrays[name], (tuple(expected[name].shape), np.dtype(expected[name].dtype))
-        if found.dtype == np.float16 and wanted[1] == np.float32:
+        if found.dtype == np.float16 and wanted[1] in _PRECISIONS:
             found = arrays[name] = found.astype(np.float32)
         if any_precision and {found.dtype, wanted[1]} <= _PRECISIONS:
             wanted = (wanted[0], found.dtype)
