@@ -13,6 +13,7 @@ import trimesh
 from headless_browser import PROGRAM, Browser
 from PIL import Image
 
+from tests.belt import snug_belt
 from tests.flat_model import flat_model
 from tryon_jax.viewer import serve, simulation
 from tryon_jax.viewer.upload import MAX_BYTES
@@ -116,11 +117,7 @@ def test_bad_uploads_are_refused_and_good_ones_worn(page, tmp_path):
     broken.write_bytes(b"glTF but not really")
     with large.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
-    shell = trimesh.creation.cylinder(0.2, 0.3, sections=48).subdivide().subdivide()
-    side = np.abs(shell.face_normals[:, 2]) < 0.5
-    tube = shell.submesh([side], append=True)
-    tube.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    tube.export(belt)
+    trimesh.Trimesh(*snug_belt(), process=False).export(belt)
     page.hand_in(broken)
     page.wait(lambda: "broken.glb" in page.text() and "That did not work" in page.text(), "the message")
     page.hand_in(large)

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+from tests.belt import snug_belt
 from tests.flat_model import flat_model
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
@@ -47,18 +48,6 @@ def compilations() -> Iterator[list[str]]:
     jax.monitoring.register_event_duration_secs_listener(note)
     yield names
     jax.monitoring.unregister_event_duration_listener(note)
-
-
-def tube() -> tuple[np.ndarray, np.ndarray]:
-    """A belt round the hips of the mean body, metres."""
-    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
-    height = np.linspace(-0.12, 0.18, 13)
-    around, level = np.meshgrid(angle, height)
-    vertices = np.stack([0.17 * np.sin(around), level, 0.125 * np.cos(around)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(12), np.arange(48), indexing="ij")
-    a, b = i * 48 + j, i * 48 + (j + 1) % 48
-    pairs = [np.stack([a, b, a + 48], -1), np.stack([b, b + 48, a + 48], -1)]
-    return vertices, np.concatenate([pair.reshape(-1, 3) for pair in pairs])
 
 
 def test_every_layer_is_a_mesh(result):
@@ -116,7 +105,7 @@ def test_impossible_settings_are_refused(page, result, change, message):
 
 
 def test_a_mesh_of_ones_own_is_pushed_out_and_has_no_pattern(page, result):
-    own = UploadedMesh("belt.obj", repair_mesh(*tube()))
+    own = UploadedMesh("belt.obj", repair_mesh(*snug_belt()))
     worn = page.compute(replace(result.settings, own=own, push_out=True))
     finished = page.finish(worn)
     assert finished.dressed.pushed is not None

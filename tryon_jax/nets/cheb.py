@@ -31,20 +31,17 @@ def cheb_conv(params: ChebConv, laplacian: SparseOperator, features: Float[Array
     order, inputs, outputs = params.weight.shape
     weight = jnp.asarray(params.weight, features.dtype)
     bias = jnp.asarray(params.bias, features.dtype)
-    nodes, samples, _ = features.shape
+    # Products over the last axis only: nodes and samples stay apart, so samples may lie on several devices.
     if outputs <= inputs:
-        flat = features.reshape(nodes * samples, inputs)
         # One product per order: a joint one would have to be sliced, which copies.
-        projected = [(flat @ weight[k]).reshape(nodes, samples, outputs) for k in range(order)]
-        result = _clenshaw(laplacian, projected)
+        result = _clenshaw(laplacian, [features @ weight[k] for k in range(order)])
     else:
         terms = [features]
         if order > 1:
             terms.append(apply_operator(laplacian, features))
         for _ in range(2, order):
             terms.append(2.0 * apply_operator(laplacian, terms[-1]) - terms[-2])
-        stacked = jnp.concatenate(terms, axis=-1).reshape(nodes * samples, order * inputs)
-        result = (stacked @ weight.reshape(order * inputs, outputs)).reshape(nodes, samples, outputs)
+        result = jnp.concatenate(terms, axis=-1) @ weight.reshape(order * inputs, outputs)
     return result + bias[None, None, :]
 
 

@@ -42,6 +42,7 @@ from tryon_jax.training.dataset import read_config
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
 from tryon_jax.training.loop import LoopOptions, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
+from tryon_jax.training.principal import principal_coefficients
 from tryon_jax.training.stages import (
     BatchSource,
     Distance,
@@ -86,6 +87,9 @@ class StageOptions:
     """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
     distance: Distance = "plain"
     """Error that is minimised: the plain distance, or the squared one (see `displacement_error`)."""
+    coefficients: Literal["principal", "trained"] = "principal"
+    """Where the weights of the fields come from: the principal components of the drapes, before the network is trained
+    (see `principal`), or training together with the network."""
 
 
 def model_path(run: Path) -> Path:
@@ -273,7 +277,7 @@ def _train_collisions(
         "before": training.get(f"fine-{fabric}", {}),
         **replayed,
     }
-    start = StageWeights(task.start.net, task.start.coefficients)
+    start = StageWeights(task.start.net)
     before = [task.inside_share(start, garments, options.loop.seed) for garments in (pool, held)]
     loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
     result = train_loop(start, task.loss, draw, evaluate, folder, loop, identity, folder.name)
@@ -306,6 +310,10 @@ def fit_stage(
         The trained stage, and the record of its training.
     """
     stage = replace(stage, scale=jnp.asarray(displacement_scale(model.config, sets), jnp.float32))
+    principal = stage.coefficients is not None and options.coefficients == "principal"
+    if principal:
+        known = principal_coefficients(model.config, stage, sets, options.loop.seed)
+        stage = replace(stage, coefficients=known)
     no_design = config_space(model.config).middle
     source = BatchSource(sets, options.garments, options.shapes, no_design, options.design_dropout)
     predictor = Predictor(model.config, kind)
@@ -327,7 +335,7 @@ def fit_stage(
         "parameters": count_parameters(stage),
     }
     loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
-    weights = StageWeights(stage.net, stage.coefficients)
+    weights = StageWeights(stage.net, None if principal else stage.coefficients)
     result = train_loop(weights, loss, source.draw, evaluate, folder, loop, identity, folder.name)
     record = {
         "garments": len(sets),

@@ -49,10 +49,11 @@ class StageWeights:
 
     net: UNet
     coefficients: MLP | None = None
+    """None where they stay as they are, and in the paper's form."""
 
     def of(self, stage: Stage) -> Stage:
         """The stage with these weights."""
-        return replace(stage, net=self.net, coefficients=self.coefficients)
+        return replace(stage, net=self.net, coefficients=self.coefficients or stage.coefficients)
 
 
 @pytree
