@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from experiments._evaluate import available, open_model
-from experiments._neighbours import Drapes, load_drapes, shape_weights
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import available, open_model
+from experiments.shared.neighbours import Drapes, load_drapes, shape_weights
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.protocol import EXTENT

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import Stack, available, open_model, spread
-from experiments._neighbours import load_drapes
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import Stack, available, open_model, spread
+from experiments.shared.neighbours import load_drapes
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment import GarmentMesh, place_on_template, remesh
 from tryon_jax.garment.manifest import load_manifest

@@ -11,10 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from experiments._evaluate import body_vertices, case_names, open_model, spread
-from experiments._neighbours import load_drapes
-from experiments._record import RESULTS, publish
-from experiments._unknowns import (
+from experiments.beyond.unknowns import (
     Found,
     Tape,
     Unknowns,
@@ -23,6 +20,9 @@ from experiments._unknowns import (
     solve,
     template_projection,
 )
+from experiments.shared.evaluate import body_vertices, case_names, open_model, spread
+from experiments.shared.neighbours import load_drapes
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.files.atomic import atomic_path

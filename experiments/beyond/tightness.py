@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from experiments._evaluate import Pipeline, body_vertices, case_names, load_all, open_model, spread
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import Pipeline, body_vertices, case_names, load_all, open_model, spread
+from experiments.shared.record import RESULTS, publish
 from measuring.records import table
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.checks import check_range

@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from experiments._record import describe_dataset, write_result
+from experiments.shared.record import describe_dataset, write_result
 from measuring.records import environment, table
 from tryon_jax.body import load_body, shape_body
 from tryon_jax.checks import check_range

@@ -5,7 +5,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from experiments._pool import checksums, open_pool, run_all
+from experiments.shared.pool import checksums, open_pool, run_all
 from tryon_jax.checks import check_range
 from tryon_jax.commands._catalogue import CatalogueConfig, drape_block, open_catalogue
 from tryon_jax.files.atomic import write_text

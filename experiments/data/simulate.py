@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from experiments._pool import checksums, open_pool, run_all
+from experiments.shared.pool import checksums, open_pool, run_all
 from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import load_manifest

@@ -4,8 +4,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from experiments._check import Config, Found
-from experiments._check_mechanics import (
+from experiments.data.simulator_checks.mechanics import (
     check_convergence,
     check_elastica,
     check_energy,
@@ -13,10 +12,11 @@ from experiments._check_mechanics import (
     check_incline,
     check_rounding,
 )
-from experiments._check_reference import check_forces, check_tube
-from experiments._check_textiles import check_cantilever, check_drape, check_uniaxial
-from experiments._plots import plot_checks
-from experiments._record import read_result, write_result
+from experiments.data.simulator_checks.options import Config, Found
+from experiments.data.simulator_checks.plots import plot_checks
+from experiments.data.simulator_checks.reference import check_forces, check_tube
+from experiments.data.simulator_checks.textiles import check_cantilever, check_drape, check_uniaxial
+from experiments.shared.record import read_result, write_result
 from measuring.records import environment, table
 from tryon_jax.checks import check_choice
 from tryon_jax.files.atomic import write_text

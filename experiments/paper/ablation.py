@@ -10,10 +10,7 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import case_names, held_out_rows, load_all, ray_ends, spread
-from experiments._neighbours import NearestGarments, load_drapes, transfer
-from experiments._record import RESULTS, publish
-from experiments._variants import (
+from experiments.paper.variants import (
     BLOCK,
     VARIANTS,
     along_first,
@@ -23,6 +20,9 @@ from experiments._variants import (
     train_variant,
     variant_garments,
 )
+from experiments.shared.evaluate import case_names, held_out_rows, load_all, ray_ends, spread
+from experiments.shared.neighbours import NearestGarments, load_drapes, transfer
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path, write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.metrics import vertex_distances

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments._errors import Errors
-from experiments._evaluate import (
+from experiments.paper.ablation import block_ratio
+from experiments.shared.errors import Errors
+from experiments.shared.evaluate import (
     Pipeline,
     Stack,
     available,
@@ -22,9 +23,8 @@ from experiments._evaluate import (
     rows_with,
     spread,
 )
-from experiments._neighbours import Drapes, NearestGarments, load_drapes, transfer
-from experiments._record import RESULTS, publish, read_result
-from experiments.ablation import block_ratio
+from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
+from experiments.shared.record import RESULTS, publish, read_result
 from tryon_jax.contact.skin import Skin
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest

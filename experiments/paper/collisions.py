@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import Pipeline, body_vertices, case_names, held_out_rows, load_all, open_model
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.contact.skin import Skin

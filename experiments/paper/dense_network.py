@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int, PRNGKeyArray
 from tqdm import tqdm
 
-from experiments._evaluate import Stack
-from experiments._neighbours import load_drapes
+from experiments.shared.evaluate import Stack
+from experiments.shared.neighbours import load_drapes
 from tryon_jax.garment import dense_template
 from tryon_jax.garment.design import Design
 from tryon_jax.garment.manifest import Manifest

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments._dense import DenseMeshes, DenseNetwork, load_samples, train_dense
-from experiments._evaluate import Pipeline, available, case_names, held_out_rows, load_all, open_model, spread
-from experiments._record import RESULTS, publish
-from experiments.memory import PAPER_MEGABYTES, dense_bytes, dense_layers
+from experiments.paper.dense_network import DenseMeshes, DenseNetwork, load_samples, train_dense
+from experiments.paper.memory import PAPER_MEGABYTES, dense_bytes, dense_layers
+from experiments.shared.evaluate import Pipeline, available, case_names, held_out_rows, load_all, open_model, spread
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.dense import DENSE_VERTICES
 from tryon_jax.garment.manifest import load_manifest

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments._record import RESULTS, publish
+from experiments.shared.record import RESULTS, publish
 from measuring.timing import measure
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, paper_form
 from tryon_jax.nets.unet import init_unet

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from experiments._evaluate import Pipeline, available, common_rows, load_all, open_model
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import Pipeline, available, common_rows, load_all, open_model
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import hausdorff_distance, vertex_distances

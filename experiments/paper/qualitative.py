@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from experiments._evaluate import body_vertices, open_model
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import body_vertices, open_model
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import load_manifest

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial import cKDTree
 
-from experiments._errors import Errors
-from experiments._evaluate import (
+from experiments.shared.errors import Errors
+from experiments.shared.evaluate import (
     Pipeline,
     Stack,
     available,
@@ -22,7 +22,7 @@ from experiments._evaluate import (
     open_model,
     ray_ends,
 )
-from experiments._record import RESULTS, publish
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
 from tryon_jax.nets.mlp import MLP, apply_mlp, init_mlp

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from experiments._evaluate import body_vertices, open_model
-from experiments._record import RESULTS, publish
+from experiments.shared.evaluate import body_vertices, open_model
+from experiments.shared.record import RESULTS, publish
 from measuring.timing import Timing, measure
 from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface

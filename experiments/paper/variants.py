@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from experiments._evaluate import Pipeline, held_out_rows, spread
+from experiments.shared.evaluate import Pipeline, held_out_rows, spread
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.config import TryOnConfig

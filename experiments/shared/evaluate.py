@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from experiments._record import simulated_fabrics, stages_trained
+from experiments.shared.record import simulated_fabrics, stages_trained
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.garment.pattern_map import PatternMap, map_patterns
 from tryon_jax.training.dataset import load_arrays, mesh_path, read_config

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
-from experiments._evaluate import Stack, body_vertices
+from experiments.shared.evaluate import Stack, body_vertices
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.training.dataset import STATISTICS, is_good, load_arrays, mean_path, mesh_path

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from experiments._record import RESULTS, publish
+from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.config import SMALL

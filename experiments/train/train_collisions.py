@@ -4,7 +4,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from experiments._curves import draw_curve
+from experiments.train.curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root

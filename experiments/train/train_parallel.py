@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from experiments import train_collisions, train_fine, train_smooth
+from experiments.train import train_collisions, train_fine, train_smooth
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.parallel import joined_processes

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from experiments._curves import draw_curve
+from experiments.train.curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import StageOptions, fit_smooth, model_path

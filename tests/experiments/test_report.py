@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import collisions, materials, memory, new_topologies, report
-from experiments._errors import Errors
-from experiments._record import read_result, stages_trained, write_result
-from experiments.accuracy import ROWS, aims, markdown
+from experiments import report
+from experiments.paper import collisions, materials, memory, new_topologies
+from experiments.paper.accuracy import ROWS, aims, markdown
+from experiments.shared.errors import Errors
+from experiments.shared.record import read_result, stages_trained, write_result
 from tryon_jax.nets.store import save_store
 
 

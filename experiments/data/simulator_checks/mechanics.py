@@ -9,8 +9,8 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.optimize import minimize
 
-from experiments._check import DYNAMIC, STATIC, Config, Found
-from experiments._check_textiles import drape_coefficient
+from experiments.data.simulator_checks.options import DYNAMIC, STATIC, Config, Found
+from experiments.data.simulator_checks.textiles import drape_coefficient
 from measuring.textiles import linear_fabric, plate, sample_fabric, settle, start_at, strip
 from tryon_jax.body import load_body
 from tryon_jax.garment import placement, remesh

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from experiments._record import RESULTS
+from experiments.shared.record import RESULTS
 from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.physics.solver import SolverSettings
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from experiments._check import STATIC, Config, Found
+from experiments.data.simulator_checks.options import STATIC, Config, Found
 from measuring.textiles import sample_fabric, settle
 from tryon_jax.checks import check_file
 from tryon_jax.contact.surface import build_surface

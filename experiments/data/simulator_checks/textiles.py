@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import brentq, minimize
 
-from experiments._check import STATIC, Config, Found
-from experiments._plots import save_drapes
+from experiments.data.simulator_checks.options import STATIC, Config, Found
+from experiments.data.simulator_checks.plots import save_drapes
 from measuring.textiles import Result, disc, linear_fabric, pedestal, sample_fabric, settle, shadow_area, strip
 from tryon_jax.physics.bending import dihedral_angles, hinge_stiffness
 from tryon_jax.physics.cloth import Cloth, build_cloth

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from experiments._neighbours import Drapes
-from experiments.bodies import markdown, measure, rays_of
+from experiments.beyond.bodies import markdown, measure, rays_of
+from experiments.shared.neighbours import Drapes
 
 
 def drapes(bend: float = 0.0) -> Drapes:

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from tiny_garments import AREA, FABRIC, tiny_model
 
-from experiments.density import _drape, draw, markdown, ratios
+from experiments.beyond.density import _drape, draw, markdown, ratios
+from tests.experiments.tiny_garments import AREA, FABRIC, tiny_model
 from tryon_jax.garment import load_manifest, remesh
 from tryon_jax.tryon import config_space
 

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tiny_garments import AREA, FABRIC, tiny_model
 
-from experiments._unknowns import Tape, Unknowns, girth_and_hem, solve, template_projection
-from experiments.inverse import InverseProblems, draw, markdown
+from experiments.beyond.inverse import InverseProblems, draw, markdown
+from experiments.beyond.unknowns import Tape, Unknowns, girth_and_hem, solve, template_projection
+from tests.experiments.tiny_garments import AREA, FABRIC, tiny_model
 from tryon_jax.garment import load_design_space, remesh
 from tryon_jax.tryon import drape
 from tryon_jax.wear.fit import girth_round

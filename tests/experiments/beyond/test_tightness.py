@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.tightness import _key, compare, markdown
+from experiments.beyond.tightness import _key, compare, markdown
 
 PAIRS = [(10.0, 12.0), (50.0, 60.0), (320.0, 250.0), (400.0, 500.0), (280.0, 420.0)]
 

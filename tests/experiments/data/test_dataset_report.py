@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from experiments.dataset_report import count_parts, count_rules, markdown
+from experiments.data.dataset_report import count_parts, count_rules, markdown
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import RULES
 from tryon_jax.training.samples import Sample

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments._pool import run_all
+from experiments.shared.pool import run_all
 from tryon_jax.training.dataset import remove_leftovers
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_a_full_disk_stops_the_work_at_once() -> None:

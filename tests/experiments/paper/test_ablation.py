@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_garments import FABRIC, stretched, tiny_model
 
-from experiments._variants import (
+from experiments.paper.ablation import _read, block_ratio, draw, markdown, summarise
+from experiments.paper.variants import (
     BLOCK,
     VARIANTS,
     along_first,
@@ -19,7 +19,7 @@ from experiments._variants import (
     variant_garments,
     without_weights,
 )
-from experiments.ablation import _read, block_ratio, draw, markdown, summarise
+from tests.experiments.tiny_garments import FABRIC, stretched, tiny_model
 from tryon_jax.garment import load_manifest
 from tryon_jax.nets.config import SMALL
 from tryon_jax.training.loop import LoopOptions

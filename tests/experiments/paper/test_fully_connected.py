@@ -3,11 +3,18 @@
 import jax
 import numpy as np
 import pytest
-from tiny_garments import AREA, FABRIC, tiny_model
 
-from experiments._dense import DenseGarment, DenseMeshes, DenseSamples, init_dense, load_samples, train_dense
-from experiments.fully_connected import draw, markdown, summarise
-from experiments.memory import dense_bytes, dense_layers
+from experiments.paper.dense_network import (
+    DenseGarment,
+    DenseMeshes,
+    DenseSamples,
+    init_dense,
+    load_samples,
+    train_dense,
+)
+from experiments.paper.fully_connected import draw, markdown, summarise
+from experiments.paper.memory import dense_bytes, dense_layers
+from tests.experiments.tiny_garments import AREA, FABRIC, tiny_model
 from tryon_jax.garment import DENSE_VERTICES, load_manifest, remesh
 from tryon_jax.garment.pattern_map import PatternMap
 from tryon_jax.training.dataset import mesh_path, save_arrays

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tiny_garments import FABRIC, stretched, tiny_model
 
-from experiments.single_garment import Config, SingleGarment, carried, how, markdown, train_single
+from experiments.paper.single_garment import Config, SingleGarment, carried, how, markdown, train_single
+from tests.experiments.tiny_garments import FABRIC, stretched, tiny_model
 from tryon_jax.garment import load_manifest
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.training.loop import LoopOptions

@@ -1,6 +1,6 @@
 """Speed: factors are of medians, nothing is called at rest that is not, distances decide the verdict."""
 
-from experiments.speed import ROWS, draw, markdown
+from experiments.paper.speed import ROWS, draw, markdown
 
 
 def results(residual=0.009, transfer=20.0):

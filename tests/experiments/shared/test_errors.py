@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from experiments._errors import Errors
-from experiments._evaluate import map_pattern, ray_ends, spread
-from experiments._neighbours import shape_weights
-from experiments.memory import dense_bytes, dense_layers, stage_bytes
-from experiments.new_topologies import summarise
+from experiments.paper.memory import dense_bytes, dense_layers, stage_bytes
+from experiments.paper.new_topologies import summarise
+from experiments.shared.errors import Errors
+from experiments.shared.evaluate import map_pattern, ray_ends, spread
+from experiments.shared.neighbours import shape_weights
 from tryon_jax.garment import load_manifest, remesh
 from tryon_jax.nets.config import PAPER, SMALL
 from tryon_jax.training.dataset import mesh_path, save_arrays

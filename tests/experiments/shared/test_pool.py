@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pool_tasks import fail, write_number
 
-from experiments._pool import checksums, open_pool, run_all
+from experiments.shared.pool import checksums, open_pool, run_all
 
 COUNT = 12
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments._curves import draw_curve
+from experiments.train.curves import draw_curve
 
 
 def test_a_curve_becomes_a_picture(tmp_path):

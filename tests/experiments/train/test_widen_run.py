@@ -5,7 +5,7 @@ from importlib import resources
 import numpy as np
 import pytest
 
-from experiments.widen import Config, main
+from experiments.train.widen import Config, main
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import drape, load_model, prepare

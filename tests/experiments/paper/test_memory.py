@@ -1,0 +1,34 @@
+"""Bytes are those of the arrays that a model has."""
+
+import jax
+import numpy as np
+import pytest
+
+from experiments.paper import memory
+from experiments.shared.record import read_result
+from tests.experiments.known_data import FABRICS
+from tryon_jax.tryon import prepare
+
+
+def array_bytes(*trees):
+    return sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves(trees))
+
+
+def test_a_stages_bytes_are_those_of_its_network(known):
+    model = known.model
+    assert memory.stage_bytes(model.config) == array_bytes(model.smooth.net, model.fine[FABRICS[0]].net)
+
+
+@pytest.mark.slow
+def test_a_drapes_arguments_are_the_model_and_the_garment(known, tmp_path):
+    memory.main(memory.Config(out=tmp_path, run=known.run, designs=("tank",), repeats=2))
+    record = read_result(tmp_path, "memory")
+    assert record is not None
+    found = record["results"]
+    garment = prepare(known.model, "tank")
+    (row,) = found["drapes"]
+    assert row["vertices"] == garment.num_vertices
+    assert row["argument_bytes"] == array_bytes(known.model, garment)
+    assert row["quartiles_ms"][0] <= row["median_ms"] <= row["quartiles_ms"][1]
+    # 5 inputs, one hidden layer of 806, three coordinates of 17,246 vertices; weights and biases of 4 bytes.
+    assert found["weights"]["fully connected"] == 4 * (6 * 806 + 807 * 3 * 17_246)
