@@ -71,8 +71,8 @@ def main(config: Config) -> None:
         predicted = np.stack([by_fabric[f].fine for f in fabrics])
         simulated = np.stack([samples.drapes[f][rows, :count] for f in fabrics])
         for k in range(len(rows)):
-            apart = vertex_distances(predicted[:, None, k], simulated[None, :, k]).mean(axis=-1)
-            distances.append(1e3 * apart)
+            apart = [[vertex_distances(p, s).mean() for s in simulated[:, k]] for p in predicted[:, k]]
+            distances.append(1e3 * np.array(apart))
             differences.append(_difference(predicted[:, k], simulated[:, k]))
             for kind, drapes in (("predicted", predicted), ("simulated", simulated)):
                 for fabric, drape in zip(fabrics, drapes[:, k], strict=True):

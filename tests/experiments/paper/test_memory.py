@@ -19,7 +19,7 @@ def test_a_stages_bytes_are_those_of_its_network(known):
     assert memory.stage_bytes(model.config) == array_bytes(model.smooth.net, model.fine[FABRICS[0]].net)
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("unchecked")  # `lower` puts descriptions where weights belong
 def test_a_drapes_arguments_are_the_model_and_the_garment(known, tmp_path):
     memory.main(memory.Config(out=tmp_path, run=known.run, designs=("tank",), repeats=2))
     record = read_result(tmp_path, "memory")
