@@ -1,4 +1,4 @@
-"""Beyond the paper: which pattern and body made a drape, and which pattern gives the fit that is wished for."""
+"""Beyond the paper: which pattern and body made a drape, and which pattern gives the fit that is asked for."""
 
 import time
 from collections.abc import Mapping
@@ -61,12 +61,12 @@ class Config:
     """Target drapes that the model makes itself, of random designs and bodies."""
     simulated: int = 6
     """Target drapes of the simulator: test shapes of unseen designs (of trained ones where none is simulated)."""
-    wishes: tuple[tuple[float, float, float, float], ...] = (
+    fits: tuple[tuple[float, float, float, float], ...] = (
         (-1.0, 0.5, 0.10, 0.48),
         (1.5, -0.8, 0.20, 0.38),
         (0.5, 0.6, 0.05, 0.30),
     )
-    """For each: the two betas of a body, ease at the chest in metres, height of the hem over stature."""
+    """Fits asked for: the two betas of a body, ease at the chest in metres, height of the hem over stature."""
     rounds: int = 3
     """The garment is meshed anew at the design found, so often."""
     steps: int = 30
@@ -74,7 +74,7 @@ class Config:
     seed: int = 0
     """Of random targets."""
     simulate: bool = True
-    """Check the wishes with the simulator too."""
+    """Check the fits with the simulator too."""
     untrained: bool = False
     """Run with stages that are not trained, to try the experiment out."""
 
@@ -97,9 +97,9 @@ class InverseProblems:
             return jnp.concatenate([misses.ravel(), unknowns.beyond(units)])
 
         def fit(units: Float[Array, " U"], args: Any) -> Float[Array, " R"]:
-            unknowns, garment, tape, betas, wish = args
+            unknowns, garment, tape, betas, asked = args
             vertices = drape(model, garment, betas, fabric=fabric, design=unknowns.values(units))
-            misses = jnp.stack(girth_and_hem(tape, vertices)) - wish
+            misses = jnp.stack(girth_and_hem(tape, vertices)) - asked
             return jnp.concatenate([1e3 * misses, _PRIOR * units, unknowns.beyond(units)])
 
         self._recover, self._fit = recover, fit
@@ -143,17 +143,19 @@ class InverseProblems:
             "ground": float(vertices[:, 1].min()),
         }
 
-    def tailor(self, betas: np.ndarray, ease: float, hem: float, rounds: int, steps: int) -> tuple[np.ndarray, Found]:
-        """The design whose ease at the chest and height of the hem (metres) on a body are as wished."""
+    def design_for(
+        self, betas: np.ndarray, ease: float, hem: float, rounds: int, steps: int
+    ) -> tuple[np.ndarray, Found]:
+        """The design whose ease at the chest and height of the hem (metres) on a body are as asked."""
         unknowns, body = Unknowns.of(self.space, 0), self.body(betas)
         units = unknowns.units(self.space.mean)
-        wish = np.array([body["chest"] + ease, hem], np.float32)
+        asked = np.array([body["chest"] + ease, hem], np.float32)
         total, residuals = 0, []
         for _ in range(rounds):
             garment, mesh = self.garment(np.asarray(unknowns.values(units)))
             tape: Tape = make_tape(garment, mesh, self.model.body, body["place"], body["ground"])
             shape = np.asarray(betas, np.float32)
-            found = solve(self._fit, units, (unknowns, garment, tape, shape, wish), steps)
+            found = solve(self._fit, units, (unknowns, garment, tape, shape, asked), steps)
             units, total = found.units, total + found.steps
             residuals.append(found.residual)
         return np.asarray(unknowns.values(units)), Found(units, total, residuals[-1], residuals)
@@ -177,15 +179,15 @@ def main(config: Config) -> None:
     names = cases["unseen design"] or cases["as trained"]
     names = [names[k] for k in spread(len(names), config.simulated)] if config.simulated else []
     recovered += [_simulated(problems, config, name) for name in tqdm(names, desc="simulated drapes", mininterval=2)]
-    wished, items = [], []
-    for wish in tqdm(config.wishes, desc="wishes", mininterval=2):
-        entry, cells = _wish(problems, config, wish)
-        wished.append(entry)
+    fits, items = [], []
+    for asked in tqdm(config.fits, desc="fits", mininterval=2):
+        entry, cells = _find_design(problems, config, asked)
+        fits.append(entry)
         items += cells
-    results = {"fabric": config.fabric, "recovered": recovered, "wishes": wished, "names": list(problems.space.names)}
+    results = {"fabric": config.fabric, "recovered": recovered, "fits": fits, "names": list(problems.space.names)}
     publish(config, "inverse", results, markdown, draw, garments=names or None, weights=weights)
     if items:
-        contact_sheet(config.out / "inverse.jpg", items, columns=len(items) // len(config.wishes), height=330)
+        contact_sheet(config.out / "inverse.jpg", items, columns=len(items) // len(config.fits), height=330)
 
 
 def _own(problems: InverseProblems, config: Config, number: int) -> dict[str, Any]:
@@ -244,14 +246,14 @@ def _recovered(
     }
 
 
-def _wish(
-    problems: InverseProblems, config: Config, wish: tuple[float, float, float, float]
+def _find_design(
+    problems: InverseProblems, config: Config, asked: tuple[float, float, float, float]
 ) -> tuple[dict[str, Any], list[SheetItem]]:
-    betas, ease = np.array(wish[:2]), wish[2]
+    betas, ease = np.array(asked[:2]), asked[2]
     body = problems.body(betas)
-    hem = wish[3] * body["stature"]
+    hem = asked[3] * body["stature"]
     began = time.perf_counter()
-    design, found = problems.tailor(betas, ease, hem, config.rounds, config.steps)
+    design, found = problems.design_for(betas, ease, hem, config.rounds, config.steps)
     seconds = time.perf_counter() - began
     garment, mesh = problems.garment(design)
     predicted = garment.unpad(drape(problems.model, garment, betas.astype(np.float32), fabric=config.fabric))
@@ -268,7 +270,7 @@ def _wish(
     ]
     entry = {
         "betas": betas,
-        "wish": [ease, hem],
+        "asked": [ease, hem],
         "design": design,
         "got": got,
         "steps": found.steps,
@@ -310,25 +312,33 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
             f"| {maker} ({len(chosen)} drapes) | {' | '.join(cells)} | {' · '.join(f'{b:.3f}' for b in betas)} | "
             f"{residual:.2f} | {steps:.0f} | {seconds:.1f} |"
         )
-    if results["wishes"]:
+    fits = fits_of(results)
+    if fits:
         lines += [
             "",
-            "| wish: body (betas), ease at the chest, height of the hem, cm | design found, cm | "
+            "| asked: body (betas), ease at the chest, height of the hem, cm | design found, cm | "
             "model's drape: ease · hem, cm | simulated: ease · hem, cm | steps | seconds |",
             "|---|---|---|---|---|---|",
         ]
-    for entry in results["wishes"]:
+    for entry in fits:
         shape = ", ".join(f"{b:g}" for b in entry["betas"])
+        ease, hem = (f"{100 * value:.1f}" for value in entry["asked"])
         design = " · ".join(f"{100 * v:.1f}" for v in entry["design"])
         got = [
             " · ".join(f"{100 * v:.1f}" for v in entry["got"][kind]) if kind in entry["got"] else "–"
             for kind in ("predicted", "simulated")
         ]
         lines.append(
-            f"| {shape}: {100 * entry['wish'][0]:.1f} · {100 * entry['wish'][1]:.1f} | {design} | {got[0]} | {got[1]} "
-            f"| {entry['steps']} | {entry['seconds']:.1f} |"
+            f"| {shape}: {ease} · {hem} | {design} | {got[0]} | {got[1]} | {entry['steps']} | {entry['seconds']:.1f} |"
         )
     return lines
+
+
+def fits_of(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The fits of a record; older records call them "wishes", and what was asked for a "wish"."""
+    if "fits" in results:
+        return results["fits"]
+    return [{**entry, "asked": entry["wish"]} for entry in results["wishes"]]
 
 
 def draw(path: Path, results: Mapping[str, Any]) -> None:

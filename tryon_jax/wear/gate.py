@@ -161,7 +161,7 @@ def judge(
 def judge_betas(betas: Float[np.ndarray, " b"], known: Sequence[float]) -> Verdict:
     """What is to be said of a body whose betas go beyond `known`, the range of each that the weights were trained on.
 
-    A wish within the range is fine, beyond it a warning, far beyond refused; see `LIMITS`.
+    Betas within the range pass, beyond it they are warned of, far beyond refused; see `LIMITS`.
     """
     if not len(betas) or not len(known):
         return Verdict()

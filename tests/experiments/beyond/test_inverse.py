@@ -129,17 +129,21 @@ def test_tables(tmp_path):
         }
         for maker, e in (("the model", 1.0), ("the model", 3.0), ("the simulator", 5.0))
     ]
-    wish = {
+    fit = {
         "betas": [1.0, 0.0],
-        "wish": [0.1, 0.8],
+        "asked": [0.1, 0.8],
         "design": [0.1, 1.0, 0.6],
         "got": {"predicted": [0.101, 0.801]},
         "steps": 9,
         "seconds": 2.0,
     }
-    results = {"fabric": "f", "recovered": recovered, "wishes": [wish], "names": ["sleeve", "chest", "length"]}
+    results = {"fabric": "f", "recovered": recovered, "fits": [fit], "names": ["sleeve", "chest", "length"]}
     text = "\n".join(markdown(results))
     assert "| the model (2 drapes) | 2.0 (worst 3.0) | 4.0 (worst 6.0) | 6.0 (worst 9.0) |" in text
     assert "| 1, 0: 10.0 · 80.0 | 10.0 · 100.0 · 60.0 | 10.1 · 80.1 | – | 9 | 2.0 |" in text
+    # Records of before say so in other words.
+    old = {**results, "wishes": [{**fit, "wish": fit["asked"]}]}
+    del old["fits"]
+    assert markdown(old) == markdown(results)
     draw(tmp_path / "inverse.png", results)
     assert (tmp_path / "inverse.png").exists()
