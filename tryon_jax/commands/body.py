@@ -70,7 +70,15 @@ def main(config: Config) -> None:
 def describe(
     body: Body, betas: np.ndarray, remarks: list[str], measured: dict[str, float], asked: dict[str, float]
 ) -> list[str]:
-    """The body in words: its size, its betas, each measurement and how far it is from the one asked for."""
+    """The body in words: its size, its betas, each measurement and how far it is from the one asked for.
+
+    Args:
+        body: The body.
+        betas: Its shape, standard deviations.
+        remarks: How the betas were found, one line each.
+        measured: Its measurements by name, metres.
+        asked: Those that were asked for, metres.
+    """
     lines = [f"body     {body.name}; {len(body.v_template)} vertices, {len(body.faces)} faces"]
     lines += remarks or ["betas    " + " ".join(f"{beta:+.2f}" for beta in betas)]
     for name in MEASUREMENTS:

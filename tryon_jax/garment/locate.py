@@ -35,6 +35,14 @@ def locate(
 
     A point outside of all triangles (the coarser mesh cuts the corners of curved outlines) gets the triangle that it
     is least outside of, and weights clamped to it: not negative, sum 1.
+
+    Args:
+        points: Points of the plane.
+        corners: Corners of the triangles, in the same plane.
+        faces: Triangles, indices into `corners`.
+
+    Returns:
+        Index of a triangle for each point, and three weights.
     """
     triangles = corners[faces]
     tree = cKDTree(triangles.mean(axis=1))
@@ -93,6 +101,16 @@ def tie_panel(
     """Barycentric map from one triangulation of a panel (`base`) to another: three points and weights for each point.
 
     Samples on the outline go by their fraction of the edge, points inside by the triangle that they lie in.
+
+    Args:
+        points: Of the one triangulation, metres.
+        edges: Its outline samples by edge, from end to end.
+        base_points: Of the base, metres.
+        base_faces: Triangles of the base.
+        base_edges: Outline samples of the base by edge.
+
+    Returns:
+        Three indices into `base_points` for each point, and their weights.
     """
     corners = np.zeros((len(points), 3), np.int64)
     weights = np.zeros((len(points), 3))

@@ -46,6 +46,11 @@ class Reference:
 def make_reference(layout: Layout, num_vertices: int, seed: int = REFERENCE_SEED) -> Reference:
     """Triangulate the layout's mean design so that the sewn mesh has exactly `num_vertices` vertices.
 
+    Args:
+        layout: The layout.
+        num_vertices: Vertices of the sewn mesh.
+        seed: Of the triangulation.
+
     Raises:
         ValueError: where so few vertices cannot follow the layout's outlines.
     """
@@ -139,14 +144,31 @@ def sew_pattern(
     points: Sequence[Float[np.ndarray, "_ 2"]],
     faces: Sequence[Int[np.ndarray, "_ 3"]],
 ) -> TriangulatedPattern:
-    """Sew panels and keep them; see `sew`."""
+    """Sew panels and keep them; see `sew`.
+
+    Args:
+        layout: The layout.
+        design: The design.
+        outlines: Samples of each panel's outline.
+        points: Points of each panel, metres; the outline's first.
+        faces: Triangles of each panel.
+    """
     return TriangulatedPattern(
         sew(layout, design, outlines, points, faces), tuple(outlines), tuple(points), tuple(faces)
     )
 
 
 def carry(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> TriangulatedPattern:
-    """Carry the layout's reference to a design."""
+    """Carry the layout's reference to a design.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        num_vertices: Vertices of the reference.
+
+    Returns:
+        The same triangles on the design's panels.
+    """
     layout = space.layout
     reference = load_reference(layout, num_vertices)
     goal = space.layout_values(design)

@@ -203,7 +203,13 @@ def triangulate(
 
 
 def panel_fault(points: Float[np.ndarray, "N 2"], faces: Int[np.ndarray, "F 3"], num_outline: int) -> str:
-    """What is wrong with the triangulation of a panel, or "" when it is exact."""
+    """What is wrong with the triangulation of a panel, or "" when it is exact.
+
+    Args:
+        points: Of the panel, metres; the outline's first.
+        faces: Triangles.
+        num_outline: How many points are the outline's.
+    """
     count = len(points)
     if len(faces) != 2 * count - num_outline - 2:
         return f"{len(faces)} triangles in place of {2 * count - num_outline - 2}"

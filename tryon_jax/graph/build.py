@@ -159,7 +159,13 @@ def build_graph(
 
 
 def pad_rows(array: np.ndarray, size: int, dtype: np.dtype | type) -> np.ndarray:
-    """The array with zero rows added up to `size`."""
+    """The array with zero rows added up to `size`.
+
+    Args:
+        array: Rows.
+        size: Number of rows of the result, at least those of `array`.
+        dtype: Type of the result.
+    """
     padded = np.zeros((size, *array.shape[1:]), dtype)
     padded[: len(array)] = array
     return padded

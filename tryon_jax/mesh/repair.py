@@ -202,6 +202,13 @@ def repair_mesh(
 ) -> LoadedGarment:
     """Make a clean mesh of triangles from anywhere; see `load_garment` for what is done and what is refused.
 
+    Args:
+        vertices: In the file's unit.
+        faces: Triangles.
+        uv: Texture coordinates of the vertices.
+        unit: Name of the unit (`mesh.units.UNITS`); "auto" finds one in which the mesh has the size of a garment.
+        name: What messages call the mesh.
+
     Raises:
         ValueError: as `load_garment`, and for arrays of other shapes, without triangles, or with indices out of range.
     """
@@ -223,6 +230,12 @@ def clean_mesh(
     name: str = "mesh",
 ) -> LoadedGarment:
     """What `repair_mesh` does in any unit of length: all of it but the unit and the look for holes.
+
+    Args:
+        vertices: In any unit.
+        faces: Triangles.
+        uv: Texture coordinates of the vertices.
+        name: What messages call the mesh.
 
     Raises:
         ValueError: arrays of other shapes or with indices out of range, coordinates that are not finite, no triangles,

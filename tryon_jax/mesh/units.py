@@ -9,5 +9,11 @@ number fits one unit only."""
 
 
 def fitting_units(size: float, low: float, high: float) -> list[str]:
-    """The units in which a length of `size` is within `low` to `high` metres, in the order of `UNITS`."""
+    """The units in which a length of `size` is within `low` to `high` metres, in the order of `UNITS`.
+
+    Args:
+        size: A length in the unknown unit.
+        low: Smallest length that makes sense, metres.
+        high: Largest length that makes sense, metres.
+    """
     return [unit for unit, metres in UNITS.items() if low <= size * metres <= high]

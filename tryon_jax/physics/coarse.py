@@ -24,7 +24,13 @@ class CoarseInverse:
 
 
 def invert_coarse(blocks: Float[Array, "V K 3 3"], neighbours: Int[Array, "V K"], patches: Patches) -> CoarseInverse:
-    """Galerkin's matrix of the patches' translations, inverted."""
+    """Galerkin's matrix of the patches' translations, inverted.
+
+    Args:
+        blocks: Blocks of the system's matrix, N/m.
+        neighbours: The vertex of each block's column.
+        patches: Which vertices move together.
+    """
     patch = jnp.asarray(patches.patch)
     count, one_more = len(patches.members), len(patches.members) + 1
     pairs = patch[:, None] * one_more + patch[neighbours]

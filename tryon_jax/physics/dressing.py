@@ -108,6 +108,12 @@ def dress(
 
     Args:
         start: positions of the welded vertices, metres (`tryon_jax.garment.placement`).
+        cloth: rest state.
+        fabric: material.
+        obstacle: the body.
+        settings: of the solver.
+        equilibrium: when a drape counts as at rest.
+        betas: of the body's shape, standard deviations.
         max_steps: steps in all.
         self_contact: keeps the cloth from passing through itself; None leaves it out (see `physics.self_contact`).
 
@@ -173,6 +179,16 @@ def follow(
 ) -> Drape:
     """Carry a drape to another body shape nearby and let it come to rest.
 
+    Args:
+        drape: Where to start.
+        betas: Of the other body shape, standard deviations.
+        cloth: Rest state.
+        fabric: Material.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        self_contact: Contact of the cloth with itself; None leaves it out.
+
     Raises:
         Diverged: positions or forces became infinite.
     """
@@ -193,7 +209,21 @@ def sweep(
     equilibrium: Equilibrium,
     self_contact: SelfContact | None = None,
 ) -> Iterator[Drape]:
-    """Drapes along a ray of betas, in its order, each from the one before."""
+    """Drapes along a ray of betas, in its order, each from the one before.
+
+    Args:
+        drape: Where to start.
+        ray: Body shapes in order, standard deviations.
+        cloth: Rest state.
+        fabric: Material.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        self_contact: Contact of the cloth with itself; None leaves it out.
+
+    Raises:
+        Diverged: Positions or forces became infinite.
+    """
     for betas in ray:
         drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium, self_contact)
         yield drape
@@ -202,7 +232,14 @@ def sweep(
 def start_state(
     start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface, slip: Float[np.ndarray, "_ 3"] | None = None
 ) -> ClothState:
-    """A cloth without velocity at `start` (metres, without padding), its padding far away; no `slip` by default."""
+    """A cloth without velocity at `start` (metres, without padding), its padding far away; no `slip` by default.
+
+    Args:
+        start: Positions without padding, metres.
+        cloth: Rest state.
+        surface: The body.
+        slip: Elastic slip of each vertex on the body, metres; none when None.
+    """
     x = np.full((cloth.vertex_areas.shape[0], 3), FAR_AWAY, np.float32)
     x[: len(start)] = start
     state = resting(jnp.asarray(x), _faces(surface, jnp.asarray(x), cloth))

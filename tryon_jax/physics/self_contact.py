@@ -117,6 +117,13 @@ def self_contact(
     Pressure follows the same hardening law as on the body. A pair couples four vertices that share no edge; their
     matrix is bounded by its diagonal (w wᵀ ≤ diag(|w| Σ|w|) for the weights w = (1, −barycentric)), so that the
     sparsity of the system stays that of the mesh.
+
+    Args:
+        x: Vertices, metres.
+        pairs: Vertices and faces near each other.
+        vertex_areas: Rest area of each vertex, m².
+        law: Constants of contact.
+        margin: The stiffness is read so much deeper, metres.
     """
     corners = x[pairs.triangle]
     point = x[pairs.vertex]

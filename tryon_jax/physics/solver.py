@@ -100,6 +100,12 @@ def internal_forces(
     """Gradient of stretch and bending (newtons) and their element stiffness blocks (N/m).
 
     Bending is computed at `x`; stretch, which is stiffer by far, at `x + remainder`.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+        remainder: What rounding took from `x`, metres; nothing when None.
     """
     gradients = deformation_gradients(x, cloth, remainder)
     strain = green_strain(gradients)
@@ -184,10 +190,15 @@ def step(
     """One implicit step.
 
     Args:
+        state: positions and velocities before the step.
+        cloth: rest state.
+        fabric: material.
+        surface: the body.
+        settings: of the step.
         surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
         pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
-        pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
-        coarse: helps the linear solver.
+        pairs: parts of the cloth that must not pass through each other; None leaves self-contact out.
+        coarse: coarse half of the preconditioner; None leaves it out.
     """
     dtype = state.x.dtype
     system = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
@@ -253,6 +264,21 @@ def solve(
 
     The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps.
     `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
+
+    Args:
+        state: Where to start.
+        cloth: Rest state.
+        fabric: Material.
+        surface: The body.
+        settings: Of the steps.
+        surface_motion: Motion of the body's vertices in the first step, metres; later steps have none.
+        pinned: Stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        tolerance: Residual at which to stop: net force over weight plus contact load.
+        max_steps: Steps at most.
+        pairs: Vertices and faces of the cloth near each other; None leaves self-contact out.
+
+    Returns:
+        The last state, and the report of its step.
     """
     zero = jnp.zeros((), jnp.int32)
     unknown = jnp.asarray(jnp.inf, state.x.dtype)

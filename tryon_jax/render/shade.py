@@ -46,7 +46,14 @@ class Frame:
 def render_view(
     scene: Scene, camera: Camera, frame: Frame, background: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
-    """Linear light of the scene before `background`."""
+    """Linear light of the scene before `background`.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        frame: Which part, in how many pixels.
+        background: Linear light behind it.
+    """
     key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.80, 0.70, 0.50), radius=0.13, samples=10)
     rim = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, 0.85, 0.45, -0.55), radius=0.0, samples=1)
 

@@ -25,7 +25,15 @@ FIRST_SEED = 1000
 def fresh_topologies(
     model: TryOnModel, root: Path, samples: Sequence[SimulatedGarment], manifest: Manifest, per_garment: int
 ) -> list[SimulatedGarment]:
-    """`per_garment` fresh topologies of every simulated garment that is fitted, with its drapes carried over."""
+    """`per_garment` fresh topologies of every simulated garment that is fitted, with its drapes carried over.
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        samples: Simulated garments.
+        manifest: Splits of designs and topologies.
+        per_garment: Fresh topologies of each.
+    """
     fitted = [s for s in samples if s.label not in manifest.validation]
     count = len(manifest.training_seeds)
     jobs = [

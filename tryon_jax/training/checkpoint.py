@@ -27,7 +27,14 @@ _HEADER = 200
 def save_checkpoint(
     folder: Path, leaves: Sequence[np.ndarray], progress: dict[str, Any], max_bytes: int = MAX_BYTES
 ) -> None:
-    """Keep `leaves` and `progress` (plain JSON values) in `folder`, in place of what was kept there before."""
+    """Keep `leaves` and `progress` (plain JSON values) in `folder`, in place of what was kept there before.
+
+    Args:
+        folder: Where checkpoints are kept.
+        leaves: Arrays.
+        progress: Plain JSON values.
+        max_bytes: Size of a file at most; larger checkpoints are split over several.
+    """
     single, index = folder / "checkpoint.npz", folder / "checkpoint" / "index.json"
     if sum(leaf.nbytes for leaf in leaves) <= max_bytes - 100_000 and not index.exists():
         named = {_name(number): leaf for number, leaf in enumerate(leaves)}

@@ -81,7 +81,9 @@ def train_mean(
 
     Args:
         samples: training drapes.
-        center, scale: design parameters are normalised as (p − center) / scale.
+        center: design parameters are normalised as (p − center) / scale; metres.
+        scale: see `center`; metres.
+        options: steps, weight regularisation and seed.
 
     Returns:
         the network and its curve (step, training loss, validation error in millimetres).

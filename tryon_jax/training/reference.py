@@ -43,7 +43,13 @@ def store_guess(path: Path, mean: MeanDrape) -> MeanDrape:
 
 
 def reference_mesh(space: DesignSpace, design: Design, num_vertices: int) -> DenseTemplate:
-    """The mesh of a design whose connectivity all designs share."""
+    """The mesh of a design whose connectivity all designs share.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        num_vertices: Vertices of the mesh.
+    """
     return dense_template(space, design, num_vertices)
 
 

@@ -340,6 +340,14 @@ def fit_template(
     """The template whose interpolation W T̄ is nearest to a drape, in least squares.
 
     A weak pull towards local averages settles template vertices that few garment vertices see.
+
+    Args:
+        corners: Template vertices that each garment vertex lies between.
+        weights: Its barycentric weights.
+        vertices: The drape, metres.
+
+    Returns:
+        Template positions, metres.
     """
     size = int(corners.max()) + 1
     rows = np.repeat(np.arange(len(corners)), 3)

@@ -104,6 +104,14 @@ def drape_stages(
     """`drape` with its intermediate results; arguments as there.
 
     With `contact`, made once by `body_contact(model.body)`, the result also says where M_fine is inside the body.
+
+    Args:
+        model: Networks and body.
+        garment: From `prepare`.
+        betas: Body shapes, standard deviations.
+        fabric: One of the model's; the first when None.
+        design: Design parameters in place of the garment's, metres.
+        contact: From `body_contact(model.body)`; with it the result says where M_fine is inside the body.
     """
     garment = with_design(model, garment, design)
     vertices = jnp.asarray(garment.graph.vertices)
@@ -129,6 +137,12 @@ def drape_fields(
     design: Float[ArrayLike, " P"] | None = None,
 ) -> DrapeFields:
     """The networks' part of `drape`, once for a garment and a fabric; arguments as there.
+
+    Args:
+        model: Networks and body.
+        garment: From `prepare`.
+        fabric: One of the model's; the first when None.
+        design: Design parameters in place of the garment's, metres.
 
     Raises:
         ValueError: for an unknown fabric, or a model with `conditioning="node"`, which has no fields.
@@ -170,6 +184,11 @@ def fine_of(model: TryOnModel, fabric: str | None) -> Stage:
 def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:
     """The garment with M̄ of another design at its fixed topology; the garment itself where `design` is None.
 
+    Args:
+        model: Its R_mean.
+        garment: From `prepare`.
+        design: Parameters, metres.
+
     Raises:
         ValueError: the garment was not made from a design.
     """
@@ -185,6 +204,14 @@ def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " 
 def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
     """M̄ = W · R_mean(p) at the garment's fixed topology, differentiable in the design; padded vertices are zero.
 
+    Args:
+        model: Its R_mean.
+        garment: From `prepare`.
+        design: Parameters, metres.
+
+    Returns:
+        Vertices, metres.
+
     Raises:
         ValueError: the garment was not made from a design.
     """
@@ -197,7 +224,16 @@ def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P
 
 
 def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]) -> Float[Array, "*batch M 3"]:
-    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other."""
+    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other.
+
+    Args:
+        garment: From `prepare`.
+        moved: Vertices of the graph, metres.
+        mean: Where they were, metres.
+
+    Returns:
+        Vertices, metres.
+    """
     own = garment.own
     if own is None:
         return moved

@@ -48,6 +48,14 @@ class Page:
         own: UploadedMesh | None = None,
         source: tuple[str, ...] = (),
     ) -> None:
+        """Build the page of one visitor.
+
+        Args:
+            client: The connection of one browser.
+            model: What the page computes.
+            own: A mesh in place of a design.
+            source: Options of the command line for model and body.
+        """
         self.client = client
         self.model = model
         self.source = source

@@ -76,7 +76,14 @@ def too_small(
     body: Body,
     landmarks: Landmarks | None = None,
 ) -> list[str]:
-    """Where a garment on the mean body does not reach round it, in words, with how much is missing."""
+    """Where a garment on the mean body does not reach round it, in words, with how much is missing.
+
+    Args:
+        vertices: Of the garment on the mean body, metres.
+        faces: Its triangles.
+        body: The body.
+        landmarks: Of the body; found when None.
+    """
     landmarks = load_landmarks(body) if landmarks is None else landmarks
     skin = np.asarray(body.v_template, np.float64)
     measured = measure_vertices(np.asarray(body.v_template, np.float32), landmarks)

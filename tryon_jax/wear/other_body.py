@@ -70,6 +70,11 @@ class OtherBody:
 def prepare_other_body(body: Body, known: Body, num_betas: int) -> OtherBody:
     """Prepare `body` to wear what is draped on `known`, the networks' body, of which they see `num_betas` betas.
 
+    Args:
+        body: The body to be dressed.
+        known: The networks' body.
+        num_betas: Betas of `known` that the networks see.
+
     Raises:
         ValueError: the body's mesh is not closed, or it lacks a joint of `SMPL_JOINTS` or a landmark.
     """

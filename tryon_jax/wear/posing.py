@@ -27,6 +27,11 @@ def soft_skinning(
 
     Weights of the closest body vertex jump where the closest limb changes, as in the middle of a skirt: skinned with
     them the cloth would tear between the legs.
+
+    Args:
+        weights: Skinning weights of each vertex; rows sum to 1.
+        faces: Triangles.
+        rounds: How often to average.
     """
     edges, _ = unique_edges(faces, len(weights))
     both = np.concatenate([edges, edges[:, ::-1]])

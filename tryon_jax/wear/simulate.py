@@ -84,6 +84,13 @@ class Simulator:
     def __init__(
         self, body: Body, settings: SolverSettings | None = None, equilibrium: Equilibrium | None = None
     ) -> None:
+        """Prepare the body; nothing is compiled yet.
+
+        Args:
+            body: The body.
+            settings: Of the solver; defaults when None.
+            equilibrium: When a drape counts as at rest; defaults when None.
+        """
         self.obstacle = Obstacle(body)
         self.settings = settings or SolverSettings()
         self.equilibrium = equilibrium or Equilibrium()
@@ -127,6 +134,12 @@ class Simulator:
     ) -> Simulated:
         """A garment that lies roughly on the mean body, dressed there: pushed out of the body, then hung to rest.
 
+        Args:
+            vertices: The garment on the mean body, metres.
+            pattern: Mesh and rest shape.
+            fabric: Material.
+            progress: Told while it runs.
+
         Raises:
             NotSettled: it tears, or is far from rest when its steps are used up.
             Diverged: the simulation left the numbers.
@@ -157,6 +170,13 @@ class Simulator:
         progress: Progress | None = None,
     ) -> Simulated:
         """A garment dressed on the mean body from where it is laid, and carried to a body of shape `betas`.
+
+        Args:
+            panels: Where the garment is laid, metres.
+            pattern: Mesh and rest shape.
+            fabric: Material.
+            betas: Of the body's shape, standard deviations.
+            progress: Told while it runs.
 
         Raises:
             Diverged: the simulation left the numbers.
