@@ -5,6 +5,7 @@ import pytest
 
 from experiments.paper import accuracy
 from experiments.shared.record import read_result
+from tests.experiments.accuracy_record import accuracy_results
 from tests.experiments.known_data import FABRICS, TEST, write_known
 from tryon_jax.training.dataset import load_arrays, ray_path
 
@@ -77,3 +78,31 @@ def test_drapes_in_the_belly_are_inside_the_body(known, tmp_path):
     table = run_accuracy(accuracy.Config(data, known.run, out=tmp_path))
     assert table["as trained"]["simulation"][FABRICS[0]]["inside_percent"] == 100.0
     assert table["as trained"]["pipeline"][FABRICS[0]]["inside_percent"] < 100.0
+
+
+def test_the_accuracy_table_shows_what_was_measured():
+    lines = "\n".join(accuracy.markdown(accuracy_results()))
+    assert "3.10 · 3.2 · 3.1" in lines
+    assert accuracy.ROWS["pipeline"] in lines
+    assert accuracy.ROWS["transfer"] not in lines
+    assert "**unseen topology**: nothing simulated, not measured" in lines
+
+
+def test_aims_are_judged_by_the_numbers_beside_them():
+    results = accuracy_results()
+    lines = "\n".join(accuracy.markdown(results))
+    assert "| trained design and topology, mm | 3.10 | at most 2 | not reached |" in lines
+    assert "| unseen topology ÷ trained ones of that design | – | at most 1.05 | not measured |" in lines
+    assert "| ends of the range ÷ mean | 1.00 | at most 1.5 | reached |" in lines
+    assert "(short training, see Ablation) | – |" in lines
+    results["table"]["unseen design"] = {
+        "pipeline": {"a": {"mean_mm": 4.5}, "b": {"mean_mm": 3.9}},
+        "neighbours": {"a": {"mean_mm": 6.0}, "b": {"mean_mm": 6.0}},
+        "neighbours, design": {"a": {"mean_mm": 4.0}, "b": {"mean_mm": 4.0}},
+    }
+    results["held_out_block"] = {"ratio": 1.6}
+    lines = "\n".join(accuracy.aims(results))
+    assert "| unseen design, mm | 4.20 | at most 3 | not reached |" in lines
+    # The better of the two kNN counts.
+    assert "| unseen design ÷ the better kNN | 1.05 | at most 0.8 | not reached |" in lines
+    assert "(short training, see Ablation) | 1.60 | at most 1.5 | not reached |" in lines

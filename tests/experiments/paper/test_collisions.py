@@ -69,3 +69,18 @@ def test_the_record_has_the_error_of_each_case(known, tmp_path):
     # The prediction is the simulation: as much of it lies inside.
     same = measured["unseen design"]
     assert same["vertices_percent"] == pytest.approx(same["simulation_vertices_percent"])
+
+
+def test_collisions_before_and_after():
+    step = {"inside_training_percent": [2.0, 0.5], "inside_held_out_percent": [1.0, 1.1]}
+    lines = "\n".join(collisions.markdown({"collision_step": {"x": step}, "measured": {}}))
+    assert "| x, training garments | 2.000 | 0.500 | -75 % | -70 % |" in lines
+    assert "| x, unseen garments | 1.000 | 1.100 | +10 % | -20 % |" in lines
+    assert "not measured" in collisions.markdown({"collision_step": {}, "measured": {}})[0]
+    row = {"samples": 3, "vertices_percent": 2.0, "surface_percent": 2.5, "mean_deepest_mm": 1.0, "deepest_mm": 4.0}
+    row |= {"simulation_vertices_percent": 0.0, "error_mm": 3.5}
+    pushed = {"pushed_out_inside_percent": 0.0, "pushed_out_largest_move_mm": 5.0, "pushed_out_error_mm": 3.25}
+    results = {"collision_step": {"x": step}, "measured": {"seen": row | pushed}, "measured_before": {"seen": row}}
+    lines = "\n".join(collisions.markdown(results))
+    assert "| seen (3 drapes), before the collision step | 2.00 | 2.50 | 1.0 · 4.0 | 0.00 | 3.50 |" in lines
+    assert "| seen | 0.000 | 5.0 | 3.25 |" in lines

@@ -47,3 +47,25 @@ def test_predictions_of_the_wrong_fabric_are_seen(known, tmp_path, monkeypatch):
     assert found["own_nearer_share"] == [0.0, 0.0]
     assert found["difference_correlation"] == pytest.approx(-1.0, abs=1e-5)
     assert "not supported" in "\n".join(materials.markdown(found))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "verdict"), [([[3, 4], [5, 2]], ": supported"), ([[3, 4], [1, 2]], ": not supported")]
+)
+def test_the_verdict_on_materials(matrix, verdict):
+    results = {
+        "fabrics": ["a", "b"],
+        "samples": 4,
+        "distance_mm": matrix,
+        "own_nearer_share": [1.0, 0.5],
+        "fabrics_apart_mm": {"predicted": 1.0, "simulated": 2.0},
+        "difference_correlation": 0.5,
+        "folds": {
+            f"{kind} {fabric}": {"curvature": value, "sharp": 2.0, "concave": 0.5}
+            for kind, values in (("predicted", (1.0, 1.1)), ("simulated", (1.0, 1.3)))
+            for fabric, value in zip("ab", values, strict=True)
+        },
+    }
+    assert verdict in materials.markdown(results)[-3]
+    # A third of the simulated difference on a logarithmic scale.
+    assert "not supported (curvature of b ÷ a: 1.10 predicted, 1.30 simulated)" in materials.markdown(results)[-1]

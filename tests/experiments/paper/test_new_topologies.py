@@ -26,3 +26,22 @@ def test_each_topology_is_measured_against_its_own_simulation(known, tmp_path):
     assert found["ratio"] == pytest.approx(2.0, rel=0.1)
     assert found["simulations_apart_mm"] > 0.0
     assert "not supported" in new_topologies.markdown(found)[-1]
+
+
+def test_the_verdict_on_topologies_follows_from_the_means():
+    def topology(split, value):
+        return {"split": split, "hausdorff_mm": [value, value + 2], "vertex_mm": [1.0]}
+
+    found = new_topologies.summarise([topology("training", 9), topology("training", 11), topology("test", 10.5)])
+    assert found["ratio"] == pytest.approx(11.5 / 11)
+    assert found["unseen"]["topologies"] == 1
+    assert new_topologies.summarise([topology("training", 9)])["ratio"] is None
+
+
+@pytest.mark.parametrize(("value", "verdict"), [(10.2, "supported: unseen"), (12.0, "not supported: unseen")])
+def test_the_verdict_on_topologies(value, verdict):
+    def entry(split, hausdorff):
+        return {"split": split, "hausdorff_mm": [hausdorff], "vertex_mm": [1.0]}
+
+    found = new_topologies.summarise([entry("training", 10.0), entry("test", value)])
+    assert verdict in new_topologies.markdown(found)[-1]

@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from experiments.paper.memory import dense_bytes, dense_layers, stage_bytes
-from experiments.paper.new_topologies import summarise
 from experiments.shared.errors import Errors
 from experiments.shared.evaluate import map_pattern, ray_ends, spread
 from experiments.shared.neighbours import shape_weights
 from tryon_jax.garment import load_manifest, remesh
-from tryon_jax.nets.config import PAPER, SMALL
 from tryon_jax.training.dataset import mesh_path, save_arrays
 
 
@@ -79,21 +76,3 @@ def test_spread_and_ray_ends():
     np.testing.assert_array_equal(spread(2, 3), [0, 1])
     np.testing.assert_array_equal(spread(4, 0), np.arange(4))
     np.testing.assert_array_equal(ray_ends(np.array([[3.0, 0.0], [0.0, -2.0], [1.5, 1.0]])), [True, True, False])
-
-
-def test_weights_are_counted():
-    # One hidden layer of one neuron: (2 + 1) weights and biases in, (1 + 1) · 3 out.
-    assert dense_bytes([2, 1, 3]) == 4 * (3 + 6)
-    layers = dense_layers(167.0, 5, 3 * 17_246)
-    assert 167.0e6 <= dense_bytes(layers) < 167.5e6
-    assert stage_bytes(SMALL) < stage_bytes(PAPER) <= 71e6
-
-
-def test_the_verdict_on_topologies_follows_from_the_means():
-    def topology(split, value):
-        return {"split": split, "hausdorff_mm": [value, value + 2], "vertex_mm": [1.0]}
-
-    found = summarise([topology("training", 9), topology("training", 11), topology("test", 10.5)])
-    assert found["ratio"] == pytest.approx(11.5 / 11)
-    assert found["unseen"]["topologies"] == 1
-    assert summarise([topology("training", 9)])["ratio"] is None
