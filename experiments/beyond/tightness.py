@@ -43,7 +43,7 @@ class Config:
 
 
 def main(config: Config) -> None:
-    """Compare the hardest pull of each learned drape with the tension of the simulation, kept or not."""
+    """Compare the largest tension of each learned drape with that of the simulation, kept or not."""
     check_range("garments", config.garments, 0, 10_000)
     check_range("shapes", config.shapes, 0, 10_000)
     fabrics = read_config(config.data).fabrics
@@ -85,7 +85,7 @@ def _key(betas: Iterable[float]) -> tuple[float, ...]:
 
 
 def compare(fabric: str, pairs: list[tuple[float, float]]) -> dict[str, Any]:
-    """How pulls of learned drapes and tensions of simulated ones go together, N/m, for one fabric."""
+    """Correlation of the tensions of learned and of simulated drapes, N/m, for one fabric."""
     pull, tension = np.array(pairs).reshape(-1, 2).T
     warned, tight = pull > MAX_TENSION, tension > MAX_TENSION
     varies = len(pairs) > 2 and pull.std() > 0 and tension.std() > 0

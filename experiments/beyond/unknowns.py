@@ -1,4 +1,5 @@
-"""What inverse problems share: unknowns in their own units, drapes seen through the template, tailor's lengths."""
+"""Shared by the inverse problems: unknowns in their own units, drapes at the template's vertices, lengths of a
+garment."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from tryon_jax.tryon import Garment
 from tryon_jax.types import ArrayLike, Body, pytree
 
 _PULL = 0.02
-"""Weight of the pull of template vertices towards the vertices that see them, as in the data for R_mean."""
+"""Weight that draws template vertices towards the vertices that lie near them, as in the data for R_mean."""
 _WALL = 100.0
 """Millimetres that one unit beyond the range costs."""
 

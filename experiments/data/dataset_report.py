@@ -1,4 +1,4 @@
-"""Look at a simulated dataset: what was kept and why not, distributions of its statistics, pictures of its drapes."""
+"""Describe a simulated dataset: what was kept and why not, distributions of its statistics, pictures of its drapes."""
 
 import json
 from collections import defaultdict

@@ -1,4 +1,4 @@
-"""The honest table: millimetres from the simulation, for the pipeline and for everything that is simpler."""
+"""Accuracy: millimetres from the simulation, for the pipeline and for simpler methods."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -91,7 +91,7 @@ def main(config: Config) -> None:
     weights = model_path(config.run)
     model = open_model(weights, config.untrained, fabrics)
     full, cases = case_names(config.data, manifest), case_names(config.data, manifest, config.garments)
-    # Unseen topologies are of one design: its trained topologies belong beside them, on the same shapes.
+    # Unseen topologies are of one design: they are compared with its trained topologies on the same shapes.
     twins = {name.rsplit("-", 1)[0] for name in full["unseen topology"]}
     cases[TWINS] = [n for n in full["as trained"] if n.rsplit("-", 1)[0] in twins]
     wanted_names = sorted({name for names in cases.values() for name in names})
@@ -105,7 +105,7 @@ def main(config: Config) -> None:
         every = held_out_rows(garments[name], fabrics, 0)
         wanted[TWINS, name] = rows_with(garments[name], every, np.concatenate(shared))
     betas = np.unique(np.concatenate([garments[n].betas[rows] for (_, n), rows in wanted.items()]), axis=0)
-    # All that any training may see, so that the kNN lacks nothing that the networks were given.
+    # All that any training may see, so that the kNN has all that the networks were given.
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}

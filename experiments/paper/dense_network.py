@@ -65,7 +65,7 @@ class DenseMeshes:
         return DenseGarment(dense.mesh, onto(template[None])[0].astype(np.float32), scaled.astype(np.float32))
 
     def onto(self, root: Path, name: str) -> PatternMap:
-        """Where the dense vertices lie on the simulated mesh of a garment: carries its drapes over."""
+        """Where the dense vertices lie on the simulated mesh of a garment: moves its drapes to the dense mesh."""
         dense = self(name.rsplit("-", 1)[0])
         return map_patterns(pattern_arrays(dense.mesh), load_arrays(mesh_path(root, name)))
 
@@ -77,7 +77,7 @@ class DenseMeshes:
 
 @dataclass(frozen=True, eq=False)
 class DenseSamples:
-    """What one simulated garment teaches; its drapes are carried over to the dense mesh when they are drawn."""
+    """Training samples of one simulated garment; its drapes are moved to the dense mesh when they are drawn."""
 
     garment: DenseGarment
     onto: PatternMap

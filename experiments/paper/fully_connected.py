@@ -1,4 +1,4 @@
-"""The brute-force alternative: one dense mesh for all garments and a fully connected network, on unseen designs."""
+"""The fully connected alternative: one dense mesh for all garments, measured on unseen designs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""A model of one garment with one topology (Santesteban et al. 2019, in T-pose), on its own ground and beyond it."""
+"""A model of one garment with one topology (Santesteban et al. 2019, in T-pose), on that garment and on others."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -58,7 +58,7 @@ class Config:
     fabric: str = "gray-interlock"
     """Fabric."""
     others: tuple[str, ...] = ("tshirt-1", "unseen-tshirt-0", "unseen-longsleeve-0", "unseen-dress-0")
-    """Garments where it cannot follow; those that are simulated are measured."""
+    """Garments that it cannot represent; those that are simulated are measured."""
     loop: LoopOptions = field(
         default_factory=lambda: LoopOptions(steps=4000, learning_rate=2e-3, evaluate_every=250, weight_decay=1e-4)
     )
@@ -99,7 +99,7 @@ _apply = jax.jit(apply_mlp)
 def train_single(samples: SimulatedGarment, manifest: Manifest, config: Config, dataset: str) -> SingleGarment:
     """Fit both regressors on the garment's training shapes.
 
-    The fit's target is the smoothed change from the drape on the mean body, the wrinkles' what smoothing took away.
+    The fit's target is the smoothed change from the drape on the mean body, the wrinkles' is what smoothing removed.
 
     Raises:
         PermissionError: the garment is for testing.
@@ -157,7 +157,7 @@ def train_single(samples: SimulatedGarment, manifest: Manifest, config: Config, 
 
 
 def carried(single: SingleGarment, betas: np.ndarray, mean: np.ndarray) -> Stack:
-    """The most that a fixed topology can say about another garment: its displacement at the closest place.
+    """The best prediction of a fixed topology for another garment: its displacement at the closest place.
 
     Each vertex of the other garment's mean drape moves as the closest vertex of the one garment does.
     """
@@ -245,7 +245,7 @@ def picture(
     garments: Mapping[str, SimulatedGarment],
     config: Config,
 ) -> list[SheetItem]:
-    """Two shapes of its own garment, then one of each of two designs where it cannot follow."""
+    """Two shapes of its own garment, then one of each of two designs that it cannot represent."""
     own = garments[config.garment]
     rows = held_out_rows(own, [config.fabric])
     rows = rows[np.argsort(own.betas[rows, -1], kind="stable")]
@@ -270,7 +270,7 @@ def picture(
 
 
 def markdown(results: Mapping[str, Any]) -> list[str]:
-    """The table with both verdicts: on par on its own garment, and who can follow elsewhere."""
+    """The table with both verdicts: on par on its own garment, and the errors on others."""
     lines = [
         f"Trained on {results['training_shapes']} body shapes of {results['garment']} in {results['fabric']}, from the "
         f"simulated drape on the mean body (which ours does not get); {results['bytes']:,} bytes in float32.",

@@ -1,4 +1,4 @@
-"""Beyond the paper: time of a drape, of the simulator to the same equilibrium, and of a transfer made by hand."""
+"""Beyond the paper: time of a drape, of the simulator to the same equilibrium, and of a transfer without learning."""
 
 import os
 import time

@@ -75,7 +75,8 @@ def transfer(model: TryOnModel, mean: Float[np.ndarray, "V 3"], betas: Float[np.
 def shape_weights(known: Float[np.ndarray, "K b"], wanted: Float[np.ndarray, "S b"]) -> Float[np.ndarray, "S K"]:
     """Weights of known body shapes that interpolate at the wanted ones; rows sum to 1.
 
-    A thin plate over the betas; the closest shape alone where the known ones do not carry one (too few, or on a line).
+    A thin plate over the betas; the closest shape alone where the known ones do not determine one (too few, or on a
+    line).
     """
     distance = np.linalg.norm(wanted[:, None] - known[None], axis=-1)
     closest = np.eye(len(known))[distance.argmin(axis=1)]

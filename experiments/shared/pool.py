@@ -27,8 +27,8 @@ ONE_CORE = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 """Environment of a worker: the arrays are too small to share a thread pool, two processes are twice as fast. OpenBLAS,
-which inverts the solver's coarse matrices, starts its threads with NumPy, before a worker can be bound to a core; they
-spin for a while after each call and took half of the worker's time."""
+which inverts the solver's coarse matrices, starts its threads with NumPy, before a worker can be bound to a core; after
+each call they wait actively for a while, which took half of the worker's time."""
 
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
 

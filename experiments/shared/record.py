@@ -1,4 +1,4 @@
-"""What every experiment leaves behind: one JSON file with numbers and what they depend on, and where pictures go."""
+"""Records of experiments: one JSON file with numbers and what they depend on, and the folder of pictures."""
 
 import hashlib
 import json

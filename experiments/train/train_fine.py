@@ -1,4 +1,4 @@
-"""Train R_fine of each fabric: what the smooth drape lacks."""
+"""Train R_fine of each fabric: the displacement from the smooth drape to the folds."""
 
 from concurrent.futures import Executor
 from dataclasses import dataclass, field

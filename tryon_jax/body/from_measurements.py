@@ -1,4 +1,4 @@
-"""The shape of a body from a few measurements: people know their height and not their betas."""
+"""The shape of a body from a few measurements."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ _TOLERANCE = 0.001
 # A deviation of one millimetre weighs as much as a body one standard deviation away from the mean.
 _PRIOR = 0.3
 _LIMIT = 3.0
-# Standard deviations: bodies further from the mean are no longer people.
+# Standard deviations: bodies further from the mean are unrealistic.
 _WALL = 300.0
 REACHED = 0.005
 """Residual in metres below which a measurement counts as met."""

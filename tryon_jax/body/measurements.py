@@ -1,4 +1,4 @@
-"""A body's measurements as tailors take them, differentiable in its shape."""
+"""Measurements of a body, as for clothes, differentiable in its shape."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Measurement:
     standard: str
     """Its name in ISO 8559-1:2017."""
     low: float
-    """Least value that is taken for one of an adult, metres."""
+    """Smallest value that an adult may have, metres."""
     high: float
     """Greatest such value, metres."""
 

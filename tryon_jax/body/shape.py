@@ -51,7 +51,7 @@ def check_betas(body: Body, betas: AnyArrayLike) -> Float[Array, " b"]:
     return jnp.asarray(vector, jnp.result_type(float))
 
 
-def full_betas(body: Body, betas: AnyArrayLike, num_betas: int) -> Float[np.ndarray, " b"]:
+def full_betas(body: Body, betas: Float[np.ndarray, " k"], num_betas: int) -> Float[np.ndarray, " b"]:
     """The first `num_betas` betas of a body, of which a user gave some (host side).
 
     Args:
@@ -62,9 +62,8 @@ def full_betas(body: Body, betas: AnyArrayLike, num_betas: int) -> Float[np.ndar
     Raises:
         ValueError: Too many betas, or values that `check_betas` refuses.
     """
-    given = np.asarray(betas, np.float32)
-    if len(given) > num_betas:
-        raise ValueError(f"betas has {len(given)} numbers, but only the first {num_betas} are known")
+    if len(betas) > num_betas:
+        raise ValueError(f"betas has {len(betas)} numbers, but only the first {num_betas} are known")
     every = np.zeros(num_betas, np.float32)
-    every[: len(given)] = given
+    every[: len(betas)] = betas
     return np.asarray(check_betas(body, every), np.float32)

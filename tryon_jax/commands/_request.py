@@ -115,7 +115,7 @@ def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndar
     check_shape(shape)
     asked = shape.measurements()
     if not asked:
-        return full_betas(body, shape.betas, num_betas), []
+        return full_betas(body, np.asarray(shape.betas, np.float32), num_betas), []
     fit = betas_from_measurements(body, asked, num_betas=num_betas)
     remarks = ["betas    " + " ".join(f"{b:+.2f}" for b in np.asarray(fit.betas)) + " from measurements"]
     if fit.outside is not None:
@@ -132,7 +132,8 @@ def read_requests(path: Path) -> list[Request]:
     `name` (the result's file name) is the row's number when it is not given; lists are separated by spaces.
 
     Raises:
-        ValueError: unknown columns, numbers that are none, rows with too many cells, or two rows of one name; all rows
+        ValueError: unknown columns, cells that are not numbers, rows with too many cells, or two rows of one name; all
+        rows
             that are wrong are named.
     """
     with check_file("batch file", path).open(newline="", encoding="utf-8-sig") as stream:

@@ -24,8 +24,8 @@ class SurfacePoint:
     normal: Float[Array, "P 3"]
     """Unit normal interpolated from the vertices."""
     height: Float[Array, " P"]
-    """Offset from the closest point along `normal`, metres; negative inside. What contact forces act on; beside an edge
-    or a corner it is shorter than the distance, which `signed_distances` gives."""
+    """Offset from the closest point along `normal`, metres; negative inside. Contact forces use it. Beside an edge or a
+    corner it is shorter than the distance, which `signed_distances` gives."""
     face: Int[Array, " P"]
     barycentric: Float[Array, "P 3"]
 

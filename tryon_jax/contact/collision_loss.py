@@ -49,7 +49,7 @@ def closest_vertices(
     start: Int[ArrayLike, " N"],
     steps: int = 3,
 ) -> tuple[Int[Array, " N"], Bool[Array, " N"]]:
-    """Index of the body vertex closest to each point, and whether the walk had come to rest there.
+    """Index of the body vertex closest to each point, and whether the search had converged there.
 
     Args:
         neighbours: From `list_neighbours`, for any shape of this body.

@@ -28,7 +28,7 @@ class Surface:
 
 
 def build_surface(vertices: Float[ArrayLike, "V 3"], faces: Int[ArrayLike, "F 3"]) -> Surface:
-    """Surface with its topology, on the host; move it later with `move_surface`.
+    """Prepare a surface with its topology, on the host; `move_surface` moves it later.
 
     Raises:
         ValueError: the mesh is not closed (an edge without two faces).

@@ -1,4 +1,4 @@
-"""Where does a point of the pattern lie on another triangulation of the same pattern?"""
+"""Where points of a pattern lie on another triangulation of the same pattern."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 CANDIDATES = (3, 12)
-"""Triangles with the nearest centroids that are tried before all of them are: three hold 97 of 100 points."""
+"""Triangles with the nearest centroids that are tried before all of them are: 97 of 100 points lie in one of three."""
 
 OUTSIDE = 1e-3
 """Barycentric weights down to minus this count as inside."""

@@ -1,4 +1,4 @@
-"""Carrying a triangulated panel from one outline to another without turning a triangle over.
+"""Moving a triangulated panel from one outline to another without inverting a triangle.
 
 One harmonic or mean-value map from the reference to a far design folds triangles at the underarm, where the outline
 is concave. Several short steps, each with the mean-value weights (Floater, "Mean value coordinates", CAGD 2003) of
@@ -110,7 +110,7 @@ def spread(
     """Move inner points to make triangles rounder: Jacobi steps on the sum of squared mean-ratio qualities.
 
     The quality (l₁² + l₂² + l₃²) / (4 √3 area) is 1 for an equilateral triangle and infinite for a flat one, so no
-    triangle turns over on the way. Points without inverted triangles are needed; others are returned as they came.
+    triangle is inverted on the way. Points without inverted triangles are needed; others are returned as they came.
 
     Args:
         points: Of a panel, metres; those of the outline first.

@@ -1,4 +1,4 @@
-"""Panels as flat meshes and as pictures: what a pattern looks like before it is sewn."""
+"""Panels as flat meshes and as pictures, before they are sewn."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING

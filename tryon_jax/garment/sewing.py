@@ -63,7 +63,7 @@ def sample_outline(panel: Panel, drawn: Mapping[str, np.ndarray], counts: Counts
     points, edges, start = [], {}, 0
     total = sum(counts[edge] for edge, _ in panel.outline)
     for edge, forward in panel.outline:
-        samples = curves.resample(drawn[edge], counts[edge])
+        samples = curves.resample_polyline(drawn[edge], counts[edge])
         index = np.arange(start, start + counts[edge] + 1) % total
         points.append((samples if forward else samples[::-1])[:-1])
         edges[edge] = index if forward else index[::-1]

@@ -1,6 +1,6 @@
 """The template: a small sewn mesh with the same connectivity for every design, whose UV follow the design.
 
-The reference is the triangulated mean design; other designs carry it along (`morph`).
+The reference is the triangulated mean design; it is moved to the outlines of other designs (`morph`).
 """
 
 import functools
@@ -31,7 +31,7 @@ designs and the 8 corners none is inverted and at most 0.4 % have an angle under
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A triangulated reference design, from which every other design's template is carried along."""
+    """A triangulated reference design, from which every other design's template is made."""
 
     values: Mapping[str, float]
     """Values of all the layout's parameters."""
@@ -73,7 +73,7 @@ def _share_vertices(
         inner = [interior_count(o.points, np.sqrt(3) / 4 * spacing**2) for o in outlines]
         missing = num_vertices - count_outline_vertices(layout, outlines) - sum(inner)
         if abs(missing) <= max(2, 0.02 * num_vertices):
-            # The rest is shared out evenly; the sampling of the outlines moves in whole edges and rarely fits.
+            # The rest is shared out evenly: the number of samples of an outline changes by whole edges and rarely fits.
             for k in range(abs(missing)):
                 inner[k % len(inner)] += int(np.sign(missing))
             if min(inner) >= 0:
@@ -158,8 +158,8 @@ def sew_pattern(
     )
 
 
-def carry(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> TriangulatedPattern:
-    """Carry the layout's reference to a design.
+def morph_reference(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> TriangulatedPattern:
+    """Move the layout's reference to the outlines of a design.
 
     Args:
         space: The design's space.
@@ -201,7 +201,7 @@ def build_template(space: DesignSpace, design: Design, num_vertices: int = TEMPL
 
     Source: section "Parametric 3D Drape" and "Dataset and Implementation Details" of the paper.
     """
-    return carry(space, design, num_vertices).mesh
+    return morph_reference(space, design, num_vertices).mesh
 
 
 def tie_patterns(

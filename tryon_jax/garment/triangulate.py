@@ -61,7 +61,8 @@ def _scatter_inside(
     """Exactly `count` random points inside the outline, roughly `spacing` apart.
 
     A triangular grid, turned, shifted and jittered by so much that no direction of the grid is left: an unjittered
-    one settles into a lattice with a grain, which is too easy a topology. It costs a fifth of a dart throw.
+    one settles into a lattice with a grain, which is too easy a topology. It takes a fifth of the time of dart
+    throwing.
     """
     hull = Delaunay(outline)
     inside = _kept(outline, hull.simplices, len(outline))

@@ -129,7 +129,7 @@ def build_graph(
         if level + 1 < num_levels:
             coarse = coarsen(level_points, level_faces)
             down = down_matrix(coarse, pooling)
-            # Coarse features live where the down matrix puts them: at the means of the clusters, if it averages.
+            # Coarse features are located where the down matrix puts them: at the means of the clusters, if it averages.
             ups.append(up_matrix(level_points, down @ level_points, coarse.faces, coarse.cluster))
             downs.append(down)
             level_points, level_faces = level_points[coarse.kept], coarse.faces

@@ -244,7 +244,8 @@ def _execute_on_cpu(*operands: Any) -> Array:
 
 
 def _execute_in_one(*operands: Any) -> Array:
-    """For devices on which a kernel's start costs more than its arithmetic: all rows read a tail, most one of zeros."""
+    """For devices on which starting a kernel costs more than its arithmetic: all rows read a tail, which is zeros for
+    most."""
     columns, weights, _, tail_columns, tail_weights, places = operands[:_NUM_LISTS]
     features = operands[-1]
     own_columns = tail_columns.at[:, places].get(mode="fill", fill_value=0)

@@ -19,7 +19,7 @@ from tryon_jax.mesh.topology import border_edges
 from tryon_jax.types import ArrayLike, pytree
 
 _ERROR = 1e-5
-# Outside these bounds the mesh, not the surface, speaks: slivers would make the flow stiff.
+# Values outside these bounds come from the mesh and not from the surface: slivers would make the flow stiff.
 _WEIGHT_RANGE = (0.02, 4.0)
 _MIN_MASS = 0.2
 

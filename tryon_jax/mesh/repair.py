@@ -23,7 +23,7 @@ GUESSED = ("m", "cm", "mm")
 measure by, `tryon_jax.wear.intake` tells them too."""
 
 SIZE = (0.24, 2.4)
-"""Largest extent of a garment, metres: what lies outside is in another unit or no garment."""
+"""Largest extent of a garment, metres: anything else is in another unit, or is no garment."""
 
 FORMATS = (".obj", ".glb", ".gltf", ".ply")
 """Suffixes of files that can be read."""
@@ -229,7 +229,7 @@ def clean_mesh(
     uv: Float[np.ndarray, "V 2"] | None = None,
     name: str = "mesh",
 ) -> LoadedGarment:
-    """What `repair_mesh` does in any unit of length: all of it but the unit and the look for holes.
+    """What `repair_mesh` does in any unit of length: everything but the unit and the search for holes.
 
     Args:
         vertices: In any unit.
@@ -307,7 +307,7 @@ def _weld(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> tuple[
 
 
 def _worthwhile(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> np.ndarray:
-    """Faces with three different corners, area, and no twin."""
+    """Faces with three different corners and an area, each once."""
     flat = areas(vertices, faces) <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 2
     flat |= (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     rows = np.sort(faces, axis=1)

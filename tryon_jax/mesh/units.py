@@ -1,4 +1,4 @@
-"""The unit of length of a file, told by the size of what it shows."""
+"""The unit of length of a file, found from the size of what it holds."""
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 """Units of length that files come in, metres."""

@@ -1,8 +1,8 @@
 """Many garments at once: drapes of one size bucket, settled side by side by one mapped solve.
 
 On a GPU one garment leaves most of the device idle; a hundred take little longer than one. On a CPU nothing is gained:
-there, run several processes. Each lane takes the same steps as alone, so that a sample does not depend on its company;
-a lane that has come to rest waits, unchanged, for the others.
+there, run several processes. Each lane takes the same steps as alone, so that a sample does not depend on the others in
+its batch; a lane that has come to rest waits, unchanged, for the others.
 """
 
 from collections.abc import Iterator, Sequence

@@ -16,7 +16,7 @@ from tryon_jax.types import Scalar, pytree
 
 SLIDING = 0.5
 """Share of the tangential stiffness that a sliding vertex keeps in the matrix. The true tangent of sliding is zero, but
-a vertex that turns back meets the full spring: with a tenth the solver cycles between the two for ever."""
+a vertex that turns back is held by the full spring: with a tenth the solver alternates between the two for ever."""
 
 
 @pytree
@@ -67,7 +67,7 @@ def pressure(
     return jnp.asarray(value), jnp.asarray(slope)
 
 
-def body_contact(
+def contact_forces(
     x: Float[Array, "V 3"],
     face: Int[Array, " S"],
     cloth: Cloth,
@@ -128,7 +128,7 @@ def friction(
 
     Args:
         slip: Elastic slip of each vertex, metres.
-        contact: From `body_contact`.
+        contact: From `contact_forces`.
         cloth: Rest state.
         fabric: Material.
         law: Constants of contact.

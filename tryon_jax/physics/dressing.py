@@ -1,4 +1,5 @@
-"""Putting a garment on a body and following the body's shape, each to equilibrium. Host side, around the jitted solver.
+"""Dressing a body with a garment, and following the body's shape, each to equilibrium. Host side, around the jitted
+solver.
 
 Friction makes a drape depend on its path by millimetres, so every shape is reached along a straight ray of betas from
 the mean body outwards: the result is then a function of the shape, not of the order in which shapes were visited.
@@ -72,7 +73,7 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Drape:
-    """A garment at rest (or as near as the solver got) on one body shape."""
+    """A garment at rest, or as close to rest as the solver came, on one body shape."""
 
     state: ClothState
     betas: Float[np.ndarray, " b"]
@@ -177,7 +178,7 @@ def follow(
     equilibrium: Equilibrium,
     self_contact: SelfContact | None = None,
 ) -> Drape:
-    """Carry a drape to another body shape nearby and let it come to rest.
+    """Move a drape to a similar body shape and bring it to rest.
 
     Args:
         drape: Where to start.
@@ -311,7 +312,7 @@ def _settle(
         state, report = _solve(state, cloth, fabric.unnamed, drape.surface, settings, motion, free, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
-        # The linear solver stands still on NaN: positions may stay finite where forces are not.
+        # The linear solver stops at NaN: positions may stay finite where forces are not.
         if not (np.isfinite(np.asarray(state.x)).all() and np.isfinite(float(report.residual))):
             where = f"fabric {fabric.name!r}, {drape.num_vertices} vertices, betas {drape.betas.tolist()}"
             raise Diverged(f"the drape diverged after {steps} steps: {where}")

@@ -16,7 +16,7 @@ from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stif
 from tryon_jax.physics.body_contact import (
     Contact,
     ContactLaw,
-    body_contact,
+    contact_forces,
     friction,
     normal_gradient,
     normal_hessian,
@@ -32,12 +32,12 @@ from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 GRAVITY = 9.81
 """m/s², along −y."""
 COARSE_STEPS = 10
-"""Steps for which a coarse correction serves: less than cloth needs to turn away from it."""
+"""Steps for which one coarse correction is used; the cloth changes little meanwhile."""
 
 
 @pytree
 class SolverSettings:
-    """Numbers that steer the solver; changing them compiles nothing."""
+    """Parameters of the solver; changing them compiles nothing."""
 
     time_step: Scalar = 1 / 30
     """Seconds."""
@@ -64,7 +64,7 @@ class ClothState:
     x: Float[Array, "V 3"]
     """Positions, metres, to the precision of their type."""
     remainder: Float[Array, "V 3"]
-    """What that precision cuts off, metres: the cloth is at `x + remainder`. Without it, single precision moves the
+    """What single precision cuts off, metres: the cloth is at `x + remainder`. Without it, single precision moves the
     corners of stiff cloth by forces that are larger than the tolerance, and no step brings it to rest."""
     velocity: Float[Array, "V 3"]
     slip: Float[Array, "V 3"]
@@ -147,7 +147,7 @@ def _assemble(
     mass = cloth.vertex_areas * jnp.asarray(fabric.density, dtype)
 
     gradient, face_blocks, hinge_blocks = internal_forces(state.x, cloth, fabric, state.remainder)
-    contact = body_contact(state.x, state.face, cloth, fabric, surface, settings.law, settings.contact_margin)
+    contact = contact_forces(state.x, state.face, cloth, fabric, surface, settings.law, settings.contact_margin)
     slip, grip, tangent = friction(state.slip, contact, cloth, fabric, settings.law)
     at_vertices, at_faces = normal_hessian(contact, cloth)
 
@@ -263,7 +263,7 @@ def solve(
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
     The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps.
-    `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
+    `surface_motion` applies to the first step only: the body has moved once.
 
     Args:
         state: Where to start.

@@ -17,7 +17,7 @@ from tryon_jax.types import EXACT, ArrayLike
 FLOOR = 2.0
 """N/m. Smallest axial and shear stiffness that the tangent assumes: clipped table entries would make it singular."""
 MAX_TENSION = 300.0
-"""N/m. Cloth that pulls harder than this over a twentieth of its area could not be pulled over the body."""
+"""N/m. Largest tension: a garment with more over a twentieth of its area could not be put on."""
 MAX_STIFFENING = 20.0
 """Cap on how much stiffer than the secant the tangent may be: it is unbounded where principal strains coincide."""
 

@@ -104,8 +104,8 @@ def sky_light(
 ) -> Float[np.ndarray, " N"]:
     """Light from the sky on `points`, about 1 on a level surface under the open sky.
 
-    The sky is a bright ceiling, softer walls, and the light that a pale floor throws back. The scene's own triangles
-    stand in the way.
+    The sky is bright above, darker at the sides, and pale below, as light reflected by a floor. The scene's own
+    triangles shade it.
 
     Args:
         vertices: Of the scene, metres.

@@ -1,7 +1,7 @@
-"""Simulated drapes seen through other meshes: more topologies to learn from, at no simulation.
+"""Simulated drapes on other meshes: more topologies to learn from, without another simulation.
 
 A drape is a map from the flat pattern to space, whatever mesh it was computed on. Read at the vertices of a fresh
-topology of the same design it teaches the networks that the drape does not hang on the mesh. Fresh topologies have
+topology of the same design it teaches the networks that the drape does not depend on the mesh. Fresh topologies have
 seeds that no split knows, and a design that is not trained on is not carried.
 """
 

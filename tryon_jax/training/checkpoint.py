@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: every number of its state, whole or not at all, in files that can be carried.
+"""Checkpoints of a training run: its whole state, in files that are written completely or not at all.
 
 A small state is one file, checkpoint.npz. A larger one is a folder, checkpoint/, of safetensors shards and an index
 that is written last: until it is there the one before counts, whose shards are deleted only afterwards.

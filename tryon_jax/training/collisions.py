@@ -61,11 +61,11 @@ class CollisionOptions:
     anchor: float = 0.3
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
     replay: float = 0.5
-    """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
-    R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
+    """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): so
+    that R_fine keeps what it has learned from them. Their loss is the distance, in units of the margin."""
     stretch: float = 1e4
     """Weight of edges that are stretched beyond `most_stretch` (see `excess_stretch`), which tear on bodies and designs
-    that no simulation has shown; 0 leaves them alone, as the paper does."""
+    that were not simulated; 0 leaves them out, as the paper does."""
     most_stretch: float = 1.25
     """Length over rest length in the pattern that costs nothing."""
     distance: Distance = "plain"

@@ -115,7 +115,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def remove_leftovers(root: Path, age: float = 3600.0) -> int:
-    """Delete what killed writers left behind: hidden files older than `age` seconds; returns how many.
+    """Delete temporary files of writers that were killed: hidden files older than `age` seconds; returns how many.
 
     Younger ones may belong to another process or machine that is writing now.
     """

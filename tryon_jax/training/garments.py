@@ -126,8 +126,8 @@ def load_simulated(
                 stacked[i, :count], keep[i] = sample.vertices, True
         drapes[fabric], good[fabric] = stacked, keep
     test = np.array([next(t[key].test for t in tables.values() if key in t) for key in keys])
-    # Fabrics differ by a centimetre. Leaving one out of the average where real cloth could not be worn would make the
-    # target jump from one body shape to the next, so its simulation counts here even if R_fine never sees it.
+    # Fabrics differ by a centimetre. If one were left out of the average where its garment could not be put on, the
+    # target would jump between body shapes, so its simulation counts here even if R_fine never sees it.
     usable = resting & np.any([good[f] for f in fabrics], axis=0)
     target = _smooth_all(garment.smoother, total)
     return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable)

@@ -17,7 +17,7 @@ _stretches = jax.jit(principal_stretches)
 
 
 def principal_tension(x: Float[np.ndarray, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[np.ndarray, " F"]:
-    """Largest principal stress of each face, N/m; padding gives zero area and is the caller's to drop.
+    """Largest principal stress of each face, N/m; faces of padding have zero area, and the caller drops them.
 
     Args:
         x: Vertices, metres.

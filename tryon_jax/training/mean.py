@@ -14,7 +14,7 @@ from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape, init_mean_drape
 from tryon_jax.training.dataset import is_good, load_arrays
 
 _SMALLEST_SCALE = 1e-3
-# A single design has no spread to take the unit of the output from.
+# A single design has no standard deviation from which to take the unit of the output.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What there is to simulate: a list of independent tasks, each of which writes one file of the dataset."""
+"""The tasks of a simulation: independent of each other, each of which writes one file of the dataset."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -65,7 +65,7 @@ class StageBatch:
     """Stacked along a leading axis G."""
     betas: Float[ArrayLike, "G B b"]
     inputs: Float[ArrayLike, "G B N 3"]
-    """M_smooth as R_fine sees it; zeros for R_smooth, which does not look."""
+    """M_smooth as R_fine sees it; zeros for R_smooth, which does not use it."""
     targets: Float[ArrayLike, "G B N 3"]
     """Vertices to be predicted, metres."""
     cloth: Cloth | None = None
@@ -155,8 +155,8 @@ def displacement_error(
         mask: which are no padding.
         scale: unit of length, metres.
         distance: squared: the mean square of a coordinate's error. plain: the mean distance, the ℓ²-norm of each
-            vertex's error, which forgives a few vertices far off: where cloth may fold either way, squares are least
-            between the folds, where it never is.
+            vertex's error, which weights large errors less: where cloth may fold in two ways, the mean of the two,
+            which is no fold, has the smallest squared error.
     """
     error = jnp.where(mask[:, None, :, None], predicted - targets, 0.0) / scale
     squares = (error * error).sum(axis=3)
@@ -358,7 +358,7 @@ class Predictor:
 def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet], most: int = 8) -> float:
     """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres.
 
-    Garments with training samples and designs that have none count half each: what is asked for is as often new.
+    Garments with training samples and designs that have none count half each: users ask for new designs as often.
 
     Args:
         predictor: Compiled prediction.

@@ -120,14 +120,16 @@ def drape_stages(
         smooth, fine = _evaluate(drape_fields(model, garment, fabric), rows)
     else:
         moved = smooth_stage(model.config, model.smooth, garment, rows)
-        fine = carry(garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices)
-        smooth = carry(garment, moved, vertices)
+        fine = move_with_graph(
+            garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices
+        )
+        smooth = move_with_graph(garment, moved, vertices)
     report = None
     if contact is not None:
         report = report_penetration(contact, model.body, fine, rows, garment.body_vertices, garment.mask)
         report = jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), report)
     smooth, fine = (x.reshape(*batch, *x.shape[1:]) for x in (smooth, fine))
-    return DrapeStages(carry(garment, vertices, vertices), smooth, fine, report)
+    return DrapeStages(move_with_graph(garment, vertices, vertices), smooth, fine, report)
 
 
 def drape_fields(
@@ -197,7 +199,7 @@ def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " 
     mean = mean_drape(model, garment, design)
     own = garment.own
     if own is not None:
-        own = dataclasses.replace(own, vertices=carry(garment, mean, jnp.asarray(garment.graph.vertices)))
+        own = dataclasses.replace(own, vertices=move_with_graph(garment, mean, jnp.asarray(garment.graph.vertices)))
     return dataclasses.replace(garment.with_vertices(mean), design=jnp.asarray(design), own=own)
 
 
@@ -223,7 +225,9 @@ def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P
     )
 
 
-def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]) -> Float[Array, "*batch M 3"]:
+def move_with_graph(
+    garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]
+) -> Float[Array, "*batch M 3"]:
     """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other.
 
     Args:
@@ -243,7 +247,7 @@ def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array
 
 
 def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
-    """Fields at the vertices of the user's own mesh, where there is one: `carry` is affine."""
+    """Fields at the vertices of the user's own mesh, where there is one: `move_with_graph` is affine."""
     own = garment.own
     if own is None:
         return smooth, fine
@@ -254,7 +258,9 @@ def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> t
         return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
 
     return (
-        StageFields(carry(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients),
+        StageFields(
+            move_with_graph(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients
+        ),
         StageFields(interpolated(fine.offset), interpolated(fine.fields), fine.coefficients),
     )
 

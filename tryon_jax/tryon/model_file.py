@@ -28,7 +28,7 @@ _BEFORE_FIELDS = {
     "num_parameters": 3,
     "laplacian": "symmetric",
 }
-"""What files mean that were written before networks predicted fields."""
+"""Defaults for files that were written before networks predicted fields."""
 
 
 def save_model(

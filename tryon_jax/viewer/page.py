@@ -37,7 +37,8 @@ class Page:
     """Controls and scene of one client of the server.
 
     Two threads of its own follow the controls. One drapes at once; the other then pushes the cloth out of the body and
-    measures the fit. Both work on the latest settings only, so that nobody waits for a slider that is being dragged.
+    measures the fit. Both work on the latest settings only, so that no time is spent on positions that a moving slider
+    has left.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class Page:
             self._wear(own)
 
     def close(self) -> None:
-        """Stop the threads and a simulation that runs; the visitor has gone."""
+        """Stop the threads and a simulation that runs; the visitor has left."""
         self._computing.close()
         self._finishing.close()
         if self._simulation is not None:
@@ -213,7 +214,7 @@ class Page:
     # Work
 
     def _guarded(self, action: Callable[..., None], *arguments: Any) -> None:
-        """Run `action`; what is wrong with a request is said in the page."""
+        """Run `action`; errors of a request are shown in the page."""
         try:
             action(*arguments)
         except (ValueError, TypeError, OSError, ImportError) as error:

@@ -1,4 +1,4 @@
-"""How a garment fits, in the tailor's words: ease at chest, waist and hip, tension of the cloth, and what lies inside.
+"""How a garment fits: ease at chest, waist and hip, tension of the cloth, and what lies inside the body.
 
 Host side (NumPy); the garment is a finished drape and the body stands in T-pose as when it was draped.
 """
@@ -20,7 +20,7 @@ from tryon_jax.types import ArrayLike
 EASE_AT = ("chest", "waist", "hip")
 """Where ease is measured."""
 
-# Distances up to this, metres, are exact; those beyond may be a little too large, where nobody asks.
+# Distances up to this, metres, are exact; larger ones, which no report shows, may be a little too large.
 _EXACT = 0.03
 _measure = jax.jit(measure_vertices)
 
@@ -55,7 +55,7 @@ class Fit:
 
     @property
     def too_tight(self) -> list[str]:
-        """Where the cloth pulls so hard that a real garment could not be put on."""
+        """Where the tension is so large that a real garment could not be put on."""
         return [name for name, pull in self.pull.items() if pull > MAX_TENSION]
 
     @property
@@ -208,7 +208,7 @@ def loop_round(
 
 
 def _pulls(tapes: dict[str, tuple[float, np.ndarray]], fabric: Fabric) -> dict[str, float]:
-    """Tension along each tape, N/m, from its stretch and its direction in the pattern; slack cloth does not pull."""
+    """Tension along each tape, N/m, from its stretch and its direction in the pattern; slack cloth has none."""
     found = {}
     for name in EASE_AT:
         # Also where there is no tape or it hangs slack: the first tight garment then finds this compiled.

@@ -97,7 +97,7 @@ class Session(SessionGarments):
             with watch.stage("carry over"):
                 weights = self._skinning(garment)
                 fine, smooth = (
-                    self.other.carry(stage, weights, body.known_betas, body.betas) for stage in (fine, smooth)
+                    self.other.transfer(stage, weights, body.known_betas, body.betas) for stage in (fine, smooth)
                 )
         return DressedBody(body, garment, fabric, vertices=fine, smooth=smooth, fine=fine)
 
@@ -121,7 +121,7 @@ class Session(SessionGarments):
 
         Raises:
             ValueError: An unknown fabric, or steps outside 1 to 10,000.
-            Diverged: The simulation left the numbers.
+            Diverged: The simulation diverged: positions or forces became infinite.
         """
         fabric = check_choice("fabric", fabric or dressed.fabric, fabric_names())
         with (stopwatch or Stopwatch()).stage("simulation"):
@@ -152,7 +152,7 @@ class Session(SessionGarments):
 
         Raises:
             ValueError: An unknown fabric, or betas as in `shape`.
-            Diverged: The simulation left the numbers.
+            Diverged: The simulation diverged: positions or forces became infinite.
         """
         watch = stopwatch or Stopwatch()
         fabric = check_choice("fabric", fabric or self.fabrics[0], fabric_names())

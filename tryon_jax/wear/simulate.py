@@ -1,7 +1,7 @@
 """Drapes by the simulator: a garment settled on a body, dressed from its panels, or a learned drape brought to rest.
 
-Host side, around `tryon_jax.physics`. Everything runs in pieces of some steps, after each of which progress is told and
-Ctrl-C is heard.
+Host side, around `tryon_jax.physics`. Everything runs in pieces of some steps, after each of which progress is reported
+and Ctrl-C is obeyed.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ SHAPE_STEPS = 60
 TORN = 2.0
 """A settled edge of more than this many times its rest length is torn: the fabrics bear about 1.25."""
 NEARLY = 5.0
-"""A drape this many times above the tolerance hangs still to the eye: said, and not refused."""
+"""A drape whose residual is at most this many times the tolerance looks at rest: it is reported, and not refused."""
 
 Progress = Callable[[int, float], None]
 """Told the steps done and the residual after each piece."""
@@ -116,7 +116,7 @@ class Simulator:
 
         Raises:
             ValueError: steps outside 1 to 10,000, vertices that are not finite, or a rest shape that is none.
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         most = DRESSING_STEPS if steps is None else int(check_range("refine", steps, 1, 10_000, "steps"))
         cloth = _cloth(pattern, len(vertices))
@@ -142,7 +142,7 @@ class Simulator:
 
         Raises:
             NotSettled: it tears, or is far from rest when its steps are used up.
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         cloth = _cloth(pattern, len(vertices))
         drape = self._dressed(vertices, cloth, fabric, progress)
@@ -179,7 +179,7 @@ class Simulator:
             progress: Told while it runs.
 
         Raises:
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         cloth = _cloth(pattern, len(panels))
         drape = self._dressed(panels, cloth, fabric, progress)

@@ -1,4 +1,4 @@
-"""What the checks of the simulator share: their options, and one compiled solver for all scenes of a size."""
+"""Shared by the checks of the simulator: their options, and one compiled solver for all scenes of a size."""
 
 import dataclasses
 from dataclasses import dataclass

@@ -92,7 +92,7 @@ def drape_coefficient(
     """Drape coefficient of a round sample in percent, with the settled sample and its faces."""
     faces, uv = disc(SAMPLE_RADIUS, edge, seed)
     rng = np.random.default_rng(seed)
-    # A flat round sample is in unstable equilibrium: a tenth of a millimetre decides where its folds come.
+    # A flat round sample is in unstable equilibrium: a tenth of a millimetre decides where its folds form.
     height = float(fabric.thickness) + 1e-4 * rng.normal(size=len(uv))
     points = np.stack([uv[:, 0], height, -uv[:, 1]], axis=1)
     result = settle(faces, uv, points, fabric, pedestal(PEDESTAL_RADIUS), settings, tolerance=3e-3, most=600)
@@ -102,7 +102,7 @@ def drape_coefficient(
 
 
 def check_drape(config: Config) -> Found:
-    """Fabric drape tester: the limper the fabric, the smaller its shadow."""
+    """Fabric drape tester: the softer the fabric, the smaller its shadow."""
     rows, pictures = [], {}
     for name in config.fabric_names():
         fabric = sample_fabric(name)
