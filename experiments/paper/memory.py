@@ -1,4 +1,4 @@
-"""Bytes of weights beside a fully connected network for all garments, and memory and time of one drape."""
+"""Bytes of weights beside a fully connected network for all garments, and memory of one drape; `speed` times it."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.shared.record import RESULTS, publish
-from measuring.timing import measure
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, paper_form
 from tryon_jax.nets.unet import init_unet
 from tryon_jax.training.recipes import model_path
@@ -33,8 +32,6 @@ class Config:
     """Presets that are draped."""
     run: Path = Path("runs/small")
     """Folder of the run whose model drapes them."""
-    repeats: int = 20
-    """Timed drapes of each."""
 
 
 def stage_bytes(config: TryOnConfig) -> int:
@@ -75,25 +72,22 @@ def main(config: Config) -> None:
             "fully connected": dense_bytes(layers),
         },
         "dense_layers": layers,
-        "drapes": [_drape(model, design, config.repeats) for design in config.designs],
+        "drapes": [_drape(model, design) for design in config.designs],
     }
     publish(config, "memory", results, markdown, weights=model_path(config.run))
 
 
-def _drape(model: TryOnModel, design: str, repeats: int) -> dict[str, Any]:
+def _drape(model: TryOnModel, design: str) -> dict[str, Any]:
     garment = jax.device_put(prepare(model, design))
     betas = jnp.array([1.0, -0.5])
     fabric = model.config.fabrics[0]
     compiled = jax.jit(drape, static_argnames="fabric").lower(model, garment, betas, fabric=fabric).compile()
     analysis = compiled.memory_analysis()
-    timing = measure(compiled, model, garment, betas, repeats=repeats)
     return {
         "design": design,
         "vertices": garment.num_vertices,
         "working_bytes": None if analysis is None else int(analysis.temp_size_in_bytes),
         "argument_bytes": int(sum(np.asarray(leaf).nbytes for leaf in jax.tree.leaves((model, garment)))),
-        "median_ms": 1e3 * timing.median,
-        "quartiles_ms": [1e3 * timing.lower_quartile, 1e3 * timing.upper_quartile],
     }
 
 
@@ -116,14 +110,11 @@ def markdown(results: dict[str, Any]) -> list[str]:
         f"(factor {ratio:.2f}). The paper does not give the fully connected network's layers: one hidden layer of the "
         "width that reaches its size is counted.",
         "",
-        "| drape of one body shape | vertices | working memory, MB | arguments, MB | median time, ms (quartiles) |",
-        "|---|---|---|---|---|",
+        "| drape of one body shape | vertices | working memory, MB | arguments, MB |",
+        "|---|---|---|---|",
     ]
     for row in results["drapes"]:
         working = "–" if row["working_bytes"] is None else f"{row['working_bytes'] / 1e6:.1f}"
-        low, high = row["quartiles_ms"]
-        lines.append(
-            f"| {row['design']} | {row['vertices']} | {working} | {row['argument_bytes'] / 1e6:.1f} | "
-            f"{row['median_ms']:.1f} ({low:.1f} to {high:.1f}) |"
-        )
+        lines.append(f"| {row['design']} | {row['vertices']} | {working} | {row['argument_bytes'] / 1e6:.1f} |")
+    lines += ["", "The section Speed has the time of these drapes."]
     return lines

@@ -22,7 +22,7 @@ def test_a_stages_bytes_are_those_of_its_network(known):
 
 @pytest.mark.usefixtures("unchecked")  # `lower` puts descriptions where weights belong
 def test_a_drapes_arguments_are_the_model_and_the_garment(known, tmp_path):
-    memory.main(memory.Config(out=tmp_path, run=known.run, designs=("tank",), repeats=2))
+    memory.main(memory.Config(out=tmp_path, run=known.run, designs=("tank",)))
     record = read_result(tmp_path, "memory")
     assert record is not None
     found = record["results"]
@@ -30,7 +30,6 @@ def test_a_drapes_arguments_are_the_model_and_the_garment(known, tmp_path):
     (row,) = found["drapes"]
     assert row["vertices"] == garment.num_vertices
     assert row["argument_bytes"] == array_bytes(known.model, garment)
-    assert row["quartiles_ms"][0] <= row["median_ms"] <= row["quartiles_ms"][1]
     # 5 inputs, one hidden layer of 806, three coordinates of 17,246 vertices; weights and biases of 4 bytes.
     assert found["weights"]["fully connected"] == 4 * (6 * 806 + 807 * 3 * 17_246)
 
