@@ -131,7 +131,7 @@ def ceiling_share(cell: Mapping[str, Any], ceilings: Mapping[str, Any]) -> str:
     measured_in_cache = "bandwidth_gb_s_by_mb" in ceilings
     small = (cell.get("memory_mb") or 0.0) < CACHE_MB
     if cell["subject"] in BOUND_BY_MEMORY and small and not measured_in_cache:
-        return "fits in cache, no memory ceiling"
+        return "may fit in cache, no memory ceiling"
     return f"{100 * cell['share_of_ceiling']:.0f} %"
 
 
