@@ -1,4 +1,4 @@
-"""What a machine can do at best, and what it says about itself while it is measured."""
+"""Highest speeds of a machine, and its state while it is measured."""
 
 import functools
 import itertools
@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from measuring.records import environment
 
@@ -165,28 +166,65 @@ class Ceilings:
     dense: dict[str, float]
     """10⁹ floating-point operations per second of one large matrix product, by precision."""
     bandwidth: float
-    """10⁹ bytes per second, read and written, of y = 2 x + z on arrays larger than the caches."""
+    """10⁹ bytes per second, read and written, of y = x / 2 + z on arrays larger than the caches."""
+    by_megabytes: dict[float, float] = field(default_factory=dict)
+    """The same by the size of all arrays together, 10⁶ bytes: smaller ones fit in caches."""
 
-    def floor(self, flops: float, moved: float, precision: str = "float32") -> float:
-        """Seconds that work cannot take less than: its operations or its traffic, whichever takes longer."""
-        return max(1e-9 * flops / self.dense.get(precision, self.dense["float32"]), 1e-9 * moved / self.bandwidth)
+    def memory_speed(self, megabytes: float | None = None) -> float:
+        """10⁹ bytes per second for work on so many megabytes, between sizes that were measured; of memory when None."""
+        if megabytes is None or not self.by_megabytes:
+            return self.bandwidth
+        sizes = sorted(self.by_megabytes)
+        speeds = [self.by_megabytes[size] for size in sizes]
+        return float(np.interp(np.log(max(megabytes, 1e-6)), np.log(sizes), speeds))
+
+    def floor(self, flops: float, moved: float, precision: str = "float32", megabytes: float | None = None) -> float:
+        """Seconds that work cannot take less than: its operations or its traffic, whichever takes longer.
+
+        Args:
+            flops: Floating-point operations.
+            moved: Bytes of every operand read or written once.
+            precision: Of the operations.
+            megabytes: Size of all that the work touches, 10⁶ bytes; None for work that fits in no cache.
+        """
+        operations = 1e-9 * flops / self.dense.get(precision, self.dense["float32"])
+        return max(operations, 1e-9 * moved / self.memory_speed(megabytes))
 
 
 def measure_ceilings(size: int, megabytes: int, repeats: int = 7) -> Ceilings:
     """Measure both; `size` of the square matrices, `megabytes` of each array."""
-    dense = {}
-    for name, (dtype, algorithm) in PRECISIONS.items():
-        if not supported(name):
-            continue
-        x = jnp.ones((size, size), dtype)
-        with jax.default_matmul_precision(algorithm):
-            product = jax.jit(lambda a, b: a @ b).lower(x, x).compile()
-        dense[name] = 2e-9 * size**3 / _best(lambda: product(x, x), repeats)  # noqa: B023
-        del x
-    x = jnp.ones(megabytes * 250_000, jnp.float32)
+    dense = {name: _dense_speed(size, name, repeats) for name in PRECISIONS if supported(name)}
+    largest = 3.0 * megabytes
+    sizes = [size for size in WORKING_SETS if size < largest] + [largest]
+    by_megabytes = {size: _memory_speed(size, largest, repeats) for size in sizes}
+    return Ceilings(dense, by_megabytes[largest], by_megabytes)
+
+
+def _dense_speed(size: int, precision: str, repeats: int) -> float:
+    """10⁹ floating-point operations per second of one product of square matrices."""
+    dtype, algorithm = PRECISIONS[precision]
+    x = jnp.ones((size, size), dtype)
+    with jax.default_matmul_precision(algorithm):
+        product = jax.jit(lambda a, b: a @ b).lower(x, x).compile()
+    return 2e-9 * size**3 / _best(lambda: product(x, x), repeats)
+
+
+WORKING_SETS = (0.75, 3.0, 12.0, 48.0, 96.0, 192.0, 384.0)
+"""Sizes of x, y and z together at which the memory is measured, 10⁶ bytes."""
+
+
+def _memory_speed(megabytes: float, traffic: float, repeats: int) -> float:
+    """10⁹ bytes per second of y = x / 2 + z on arrays of so many megabytes, over and over for `traffic` megabytes."""
+    x = jnp.ones(int(megabytes * 1e6 / 12), jnp.float32)
     z = x + 1.0
-    triad = jax.jit(lambda x, z: 2.0 * x + z).lower(x, z).compile()
-    return Ceilings(dense, 3e-9 * x.nbytes / _best(lambda: triad(x, z), repeats))
+    # Small arrays many times in one call: starting a call would take longer than the work.
+    rounds = max(1, round(traffic / megabytes))
+
+    def triad(x: jax.Array, z: jax.Array) -> jax.Array:
+        return jax.lax.fori_loop(0, rounds, lambda _, y: 0.5 * y + z, x)
+
+    made = jax.jit(triad).lower(x, z).compile()
+    return 3e-9 * x.nbytes * rounds / _best(lambda: made(x, z), repeats)
 
 
 PRECISIONS = {

@@ -68,7 +68,7 @@ def collision(cell: Cell) -> Work:
             depth = MARGIN - (normals[closest] * (at - skin[closest])).sum(1)
             total += np.maximum(depth, 0.0).mean() / cell.batch
             slope[b, real] = np.where(depth[:, None] > 0, -normals[closest], 0.0) / (real.sum() * cell.batch)
-        # At equal distances another vertex may win the walk: a few in a thousand may differ.
+        # At equal distances the search may end at another vertex: a few in a thousand may differ.
         different = np.linalg.norm(np.asarray(gradient) - slope, axis=2) > 0.05 / (real.sum() * cell.batch)
         return max(abs(float(value) / total - 1), different[:, real].mean() / 5)
 

@@ -47,13 +47,13 @@ def main(config: Config) -> None:
     faults: list[dict[str, Any]] = []
     worst = {"edge": 0.0, "push": 0.0}
     for case in range(config.cases):
-        wish = random_case(session, config.seed, case, config.bodies)
+        drawn = random_case(session, config.seed, case, config.bodies)
         try:
             dressed = session.try_on(
-                session.prepare(wish["design"], seed=wish["mesh"]), wish["betas"], fabric=wish["fabric"]
+                session.prepare(drawn["design"], seed=drawn["mesh"]), drawn["betas"], fabric=drawn["fabric"]
             )
         except Exception as error:  # Whatever it is, it is what the campaign looks for.
-            faults.append(wish | {"fault": f"{type(error).__name__}: {error}"})
+            faults.append(drawn | {"fault": f"{type(error).__name__}: {error}"})
             continue
         assert dressed.verdict is not None
         outcomes[dressed.verdict.outcome] += 1
@@ -61,10 +61,10 @@ def main(config: Config) -> None:
         worst["edge"] = max(worst["edge"], stretch)
         worst["push"] = max(worst["push"], 0.0 if dressed.pushed is None else dressed.pushed.largest_move)
         if stretch > LIMITS["edge"].refuse and dressed.verdict.outcome != "refused":
-            faults.append(wish | {"fault": f"an edge of {stretch:.2f} times its rest length was not refused"})
+            faults.append(drawn | {"fault": f"an edge of {stretch:.2f} times its rest length was not refused"})
         inside = inside_body(dressed.vertices, dressed.body.vertices, dressed.body.faces)
         if inside.any() and dressed.verdict.outcome != "refused":
-            faults.append(wish | {"fault": f"{int(inside.sum())} vertices are inside the body"})
+            faults.append(drawn | {"fault": f"{int(inside.sum())} vertices are inside the body"})
     rows = [{"outcome": name, "cases": outcomes[name]} for name in ("fine", "warning", "refused")]
     print(table(rows))
     print(f"longest edge {worst['edge']:.2f} times its rest length, largest push {1e3 * worst['push']:.1f} mm")

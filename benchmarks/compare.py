@@ -217,10 +217,12 @@ def measure_cell(cell: Cell, config: Config, ceilings: Ceilings) -> dict[str, An
     with counting_compilations() as again:
         for turn in range(len(work.inputs)):
             jax.block_until_ready(calls["xla"](turn))
-    entry |= summary(times["xla"], work.samples, ceilings.floor(work.flops, work.moved, cell.precision))
+    megabytes = peak_megabytes(made.executable)
+    at_ceiling = ceilings.floor(work.flops, work.moved, cell.precision, megabytes)
+    entry |= summary(times["xla"], work.samples, at_ceiling)
     entry |= {
         "compilations_afterwards": again.count,
-        "memory_mb": peak_megabytes(made.executable),
+        "memory_mb": megabytes,
         **joules(calls["xla"], entry),
     }
     entry["beside"] = {name: [1e3 * t for t in values] for name, values in times.items() if name != "xla"}
@@ -312,7 +314,11 @@ def run(config: Config, path: Path) -> dict[str, Any]:
     cells = plan(config)
     piece: dict[str, Any] = {
         **{name: before[name] for name in ("date", "load_average", "clocks_mhz")},
-        "ceilings": {"dense_gflops": ceilings.dense, "bandwidth_gb_s": ceilings.bandwidth},
+        "ceilings": {
+            "dense_gflops": ceilings.dense,
+            "bandwidth_gb_s": ceilings.bandwidth,
+            "bandwidth_gb_s_by_mb": ceilings.by_megabytes,
+        },
     }
     if record is None:
         record = {

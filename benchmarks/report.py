@@ -18,7 +18,9 @@ ABOUT = {
     "Chebyshev layer": "One convolution from 64 to 64 features (`small`) or 168 to 168 (`paper`), without activation.",
     "U-Net forward": "Displacements of R_smooth for a batch of body shapes of one garment.",
     "U-Net gradient": "Loss and its gradient by all weights of R_smooth.",
-    "drape": "Both U-Nets, from betas to vertices, as `tryon_jax.drape` is called.",
+    "drape": "Both U-Nets, from betas to vertices, as `tryon_jax.drape` is called: the pretrained weights for `small`, "
+    "random ones for `paper`, on all cores. The section Speed of the results times the same call for presets, "
+    "under the conditions stated there: compare its first row with batch 1 of `small` on the same device.",
     "training step": "Gradient and AdamW of R_smooth.",
     "collision loss": "Shaped bodies, closest vertices, loss, and gradient by the garments' vertices.",
     "solver step": "One implicit step of the cloth solver with its linear solve, for a batch of states of one garment.",
@@ -36,6 +38,10 @@ UNITS = {
 STYLES: tuple[Any, ...] = ("-o", ":s", "--^", "-.v")
 """Line and marker of each device in the plots."""
 BEGIN = "# Benchmarks"
+BOUND_BY_MEMORY = ("Laplacian product", "solver step")
+"""Subjects whose ceiling is the memory's, on every machine."""
+CACHE_MB = 128.0
+"""Working sets below this may lie in a cache of the machine, 10⁶ bytes: last-level caches hold some tens of them."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,8 @@ def subject_table(subject: str, records: Sequence[dict[str, Any]]) -> str:
     for identity, number, cell in sorted(lines, key=lambda line: line[:2]):
         _, config, vertices, batch, precision = identity
         row: dict[str, Any] = {"network": config, "vertices": vertices, "batch": batch, "precision": precision}
-        row |= {"device": device(records[number])} | columns(cell, UNITS.get(subject, "drapes"))
+        ceiling = ceiling_share(cell, records[number]["ceilings"])
+        row |= {"device": device(records[number])} | columns(cell, UNITS.get(subject, "drapes"), ceiling)
         against = first.get(identity) if number else None
         row["× the first device"] = "–" if against is None else f"{cell['per_second'] / against['per_second']:.3g}"
         rows.append(row)
@@ -114,16 +121,30 @@ def subject_table(subject: str, records: Sequence[dict[str, Any]]) -> str:
     return table([{name: value for name, value in row.items() if name not in empty} for row in rows]) if rows else ""
 
 
-def columns(cell: dict[str, Any], counted: str) -> dict[str, str]:
-    """What was measured, as a line shows it."""
-    share, memory, energy = cell.get("share_of_ceiling"), cell.get("memory_mb"), cell.get("joules")
+def ceiling_share(cell: Mapping[str, Any], ceilings: Mapping[str, Any]) -> str:
+    """Time at the ceiling over the time taken, in words where the record has no ceiling for this cell.
+
+    Records whose memory was measured on large arrays alone have none for working sets that may lie in a cache.
+    """
+    if "share_of_ceiling" not in cell:
+        return "–"
+    measured_in_cache = "bandwidth_gb_s_by_mb" in ceilings
+    small = (cell.get("memory_mb") or 0.0) < CACHE_MB
+    if cell["subject"] in BOUND_BY_MEMORY and small and not measured_in_cache:
+        return "may fit in cache, no memory ceiling"
+    return f"{100 * cell['share_of_ceiling']:.0f} %"
+
+
+def columns(cell: dict[str, Any], counted: str, ceiling: str) -> dict[str, str]:
+    """What was measured, as a line shows it; `ceiling` is what stands in the column "of ceiling"."""
+    memory, energy = cell.get("memory_mb"), cell.get("joules")
     beside = ", ".join(
         f"{peer} {statistics.median(times) / cell['ms']:.2f}×" for peer, times in cell.get("beside", {}).items()
     )
     return {
         "ms (quartiles)": f"{cell['ms']:.3g} ({cell['lower_ms']:.3g} to {cell['upper_ms']:.3g})",
         f"{counted}/s": f"{cell['per_second']:.3g}",
-        "of ceiling": "–" if share is None else f"{100 * share:.0f} %",
+        "of ceiling": ceiling,
         "compile, s (number)": f"{cell['compile_s']:.1f} ({cell['compilations']})",
         "MB": "–" if memory is None else f"{memory:.0f}",
         "error": f"{cell['error']:.1g} {cell['unit']}".strip(),
@@ -155,7 +176,9 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
         "machine; nothing here is typed in by hand. Every cell is checked against float64 before it is timed. Medians "
         "and quartiles of calls that take turns with what stands beside them, each with fresh inputs. Of ceiling: the "
         "time that the operations, or the bytes of every operand read or written once, take at the speed of the large "
-        "dense product or of the memory measured in the same run, whichever is longer, over the time taken. MB: "
+        "dense product or of the memory measured in the same run, whichever is longer, over the time taken; the memory "
+        "is measured on arrays as large as the cell's, or, in older runs, on large arrays alone, which say nothing of "
+        "what fits in a cache. MB: "
         "arguments, results and everything between as XLA planned it. Beside: time of the peer over ours, so more than "
         "1 is slower than ours; dense products are the same matrix products with no sparse operator and no activation. "
         f"The last column compares throughput with that of {device(records[0])}. A load above "

@@ -9,7 +9,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from experiments._record import RESULTS, read_result
+from experiments.shared.record import RESULTS, read_result
+from tryon_jax.cli import find_commands
 from tryon_jax.files.atomic import write_text
 from tryon_jax.training.recipes import chain
 
@@ -130,7 +131,7 @@ def main(config: Config) -> None:
 
 def section(name: str, title: str, about: str, record: dict[str, Any], config: Config) -> list[str]:
     """One experiment: what is claimed, numbers, picture, where they come from."""
-    module = importlib.import_module(f"experiments.{name}")
+    module = importlib.import_module(find_commands("experiments")[name].module)
     lines = [f"## {title}", "", about, "", *module.markdown(record["results"])]
     for suffix in (".png", ".jpg"):
         picture = config.results / f"{name}{suffix}"

@@ -110,8 +110,9 @@ def test_experiments_and_benchmarks_know_the_options(page):
     for line in itertools.chain.from_iterable(line.split(" && ") for line in lines):
         words = shlex.split(line, comments=True)
         package, name, *options = words[words.index("-m") + 1 :]
-        assert name in find_commands(package), line
-        module = importlib.import_module(f"{package}.{name}")
+        commands = find_commands(package)
+        assert name in commands, line
+        module = importlib.import_module(commands[name].module)
         tyro.cli(module.Config, args=options, config=(tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes))
 
 

@@ -28,6 +28,16 @@ def check_range(name: str, value: float | int, low: float | int, high: float | i
     """Return `value` as a float, or raise `ValueError` when it is not in [low, high].
 
     Lengths in metres (`unit` "m") that look like centimetres, millimetres or inches are told so.
+
+    Args:
+        name: What messages call the value.
+        value: The number to check.
+        low: Smallest value allowed.
+        high: Largest value allowed.
+        unit: Unit of all three, for messages.
+
+    Raises:
+        ValueError: The value is outside of [low, high], or not finite.
     """
     number = float(check_finite(name, value))
     if not low <= number <= high:
@@ -46,7 +56,16 @@ def _unit_hint(number: float, low: float, high: float) -> str:
 
 
 def check_choice(name: str, value: str, choices: Iterable[str]) -> str:
-    """Return `value` when it is one of `choices`, or raise `ValueError` that lists them and the nearest one."""
+    """Return `value` when it is one of `choices`, or raise `ValueError` that lists them and the nearest one.
+
+    Args:
+        name: What messages call the value.
+        value: The name to check.
+        choices: What it may be.
+
+    Raises:
+        ValueError: It is none of them.
+    """
     known = list(choices)
     if value not in known:
         near = difflib.get_close_matches(str(value), known, n=1)

@@ -12,6 +12,7 @@ import io
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -29,7 +30,7 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
 
     Args:
         prog: what the program is called in messages.
-        package: the package whose modules with a function `main(config)` are the commands.
+        package: the package whose modules with a function `main(config)` are the commands, in folders or not.
         argv: arguments, by default the process's.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -52,30 +53,49 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
         kind = "option" if name.startswith("-") else "command"
         print(f"{prog}: error: unknown {kind} {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
         return 2
-    return _run(f"{prog} {name}", f"{package}.{name}", rest)
+    return _run(f"{prog} {name}", commands[name].module, rest)
 
 
-def find_commands(package: str) -> dict[str, str]:
-    """Names of the commands of `package`, each with the first line of its docstring; nothing of them is imported."""
+@dataclass(frozen=True)
+class Command:
+    """One command of a program."""
+
+    module: str
+    """Full name of its module."""
+    about: str
+    """First line of the module's docstring."""
+
+
+def find_commands(package: str) -> dict[str, Command]:
+    """Commands of `package` and of the packages in it, by name; none of their modules is imported.
+
+    Raises:
+        ModuleNotFoundError: there is no such package.
+        ImportError: two modules have one name, so that one of the commands could not be reached.
+    """
     spec = importlib.util.find_spec(package)
     if spec is None or not spec.submodule_search_locations:
         raise ModuleNotFoundError(f"no package {package!r}")
-    commands = {}
-    for folder in spec.submodule_search_locations:
-        for path in sorted(Path(folder).glob("*.py")):
+    commands: dict[str, Command] = {}
+    for folder in map(Path, spec.submodule_search_locations):
+        # The package's own modules first, then folder by folder.
+        for path in sorted(folder.rglob("*.py"), key=lambda path: (path.parent, path.name)):
             if path.stem.startswith("_"):
                 continue
             tree = ast.parse(path.read_text(encoding="utf-8"))
             if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in tree.body):
+                module = ".".join([package, *path.relative_to(folder).with_suffix("").parts])
+                if path.stem in commands:
+                    raise ImportError(f"command {path.stem!r} is in {commands[path.stem].module} and in {module}")
                 doc = ast.get_docstring(tree) or ""
-                commands[path.stem] = doc.splitlines()[0] if doc else ""
+                commands[path.stem] = Command(module, doc.splitlines()[0] if doc else "")
     return commands
 
 
-def _overview(prog: str, commands: dict[str, str]) -> str:
+def _overview(prog: str, commands: dict[str, Command]) -> str:
     width = max((len(name) for name in commands), default=0) + 2
     lines = [f"usage: {prog} COMMAND [options]", "", "commands:"]
-    lines += [f"  {name:<{width}}{help_line}" for name, help_line in commands.items()]
+    lines += [f"  {name:<{width}}{command.about}" for name, command in commands.items()]
     lines += ["", f"{prog} COMMAND --help shows a command's options; --version shows the version."]
     return "\n".join(lines)
 

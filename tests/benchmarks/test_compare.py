@@ -149,11 +149,39 @@ def test_the_machine_is_measured(monkeypatch):
     ceilings = measure_ceilings(64, 1, repeats=2)
     assert set(ceilings.dense) == {"float32", "bfloat16"}
     assert min(*ceilings.dense.values(), ceilings.bandwidth) > 0
+    assert set(ceilings.by_megabytes) == {0.75, 3.0}
     assert FAST.floor(1e12, 1e9) == pytest.approx(1.0)
     assert FAST.floor(1e9, 1e12) == pytest.approx(10.0)
     assert integrate_power([(0.0, 100.0)]) is None
     assert integrate_power([(0.0, 100.0), (1.0, 200.0), (3.0, 200.0)]) == pytest.approx(550)
     assert _machine.nvidia("power.draw") == ""
+
+
+def test_the_ceiling_of_the_memory_is_that_of_the_working_set():
+    memory = Ceilings({"float32": 1e3}, 10.0, {1.0: 100.0, 100.0: 20.0, 1000.0: 10.0})
+    assert memory.memory_speed() == 10.0
+    assert [memory.memory_speed(size) for size in (0.1, 1.0, 10.0, 100.0, 5000.0)] == pytest.approx(
+        [100.0, 100.0, 60.0, 20.0, 10.0]
+    )
+    # 1 GB at 100 GB/s in the cache, at 10 GB/s beyond it.
+    assert memory.floor(0.0, 1e9, megabytes=0.5) == pytest.approx(0.01)
+    assert memory.floor(0.0, 1e9) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("subject", "megabytes", "ceilings", "said"),
+    [
+        ("Laplacian product", 9.0, {}, "may fit in cache, no memory ceiling"),
+        ("solver step", 9.0, {}, "may fit in cache, no memory ceiling"),
+        ("Laplacian product", 600.0, {}, "158 %"),
+        ("Laplacian product", 9.0, {"bandwidth_gb_s_by_mb": {"1.0": 9.0}}, "158 %"),
+        ("drape", 9.0, {}, "158 %"),
+    ],
+)
+def test_a_working_set_that_fits_in_a_cache_has_no_ceiling_of_memory(subject, megabytes, ceilings, said):
+    cell = {"subject": subject, "memory_mb": megabytes, "share_of_ceiling": 1.58}
+    assert report.ceiling_share(cell, ceilings) == said
+    assert report.ceiling_share({"subject": subject}, ceilings) == "–"
 
 
 def test_a_quick_run_writes_one_record(tmp_path, capsys):

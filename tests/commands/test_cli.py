@@ -6,7 +6,7 @@ import textwrap
 import pytest
 
 import tryon_jax
-from tryon_jax.cli import dispatch, find_commands, main
+from tryon_jax.cli import Command, dispatch, find_commands, main
 
 
 @pytest.fixture
@@ -43,6 +43,9 @@ def package(tmp_path, monkeypatch):
         )
     )
     header = "from dataclasses import dataclass\n@dataclass\nclass Config:\n    size: int = 1\n"
+    (folder / "textiles").mkdir()
+    (folder / "textiles" / "__init__.py").write_text("")
+    (folder / "textiles" / "weigh.py").write_text(f'"""Weigh cloth."""\n{header}def main(config): print(config.size)\n')
     (folder / "broken.py").write_text(f'"""Broken."""\n{header}def main(config): return 1 / 0\n')
     monkeypatch.syspath_prepend(tmp_path)
     yield "trials"
@@ -51,7 +54,22 @@ def package(tmp_path, monkeypatch):
 
 
 def test_commands_are_the_modules_with_a_main(package):
-    assert find_commands(package) == {"broken": "Broken.", "measure_cloth": "Measure cloth."}
+    assert find_commands(package) == {
+        "broken": Command("trials.broken", "Broken."),
+        "measure_cloth": Command("trials.measure_cloth", "Measure cloth."),
+        "weigh": Command("trials.textiles.weigh", "Weigh cloth."),
+    }
+
+
+def test_a_command_in_a_folder_runs_by_its_name(package, capsys):
+    assert dispatch("try", package, ["weigh", "--size", "3"]) == 0
+    assert capsys.readouterr().out == "3\n"
+
+
+def test_two_commands_of_one_name_are_refused(package, tmp_path):
+    (tmp_path / package / "textiles" / "broken.py").write_text("def main(config): pass\n")
+    with pytest.raises(ImportError, match=r"'broken' is in trials\.broken and in trials\.textiles\.broken"):
+        find_commands(package)
 
 
 def test_a_command_runs_with_its_options(package, capsys):
@@ -109,7 +127,7 @@ def test_version(capsys):
 
 @pytest.mark.parametrize("package", ["tryon_jax.commands", "experiments", "benchmarks"])
 def test_every_command_of_ours_has_a_help_line(package):
-    assert all(find_commands(package).values())
+    assert all(command.about for command in find_commands(package).values())
 
 
 def test_an_unknown_experiment_fails(request):

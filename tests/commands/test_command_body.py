@@ -1,6 +1,7 @@
 """`tryon body` from the outside."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 import trimesh
 from PIL import Image
 
+from tryon_jax.body import MEASUREMENTS
 from tryon_jax.cli import main
+from tryon_jax.commands._request import BodyShape
 
 
 def test_writes_mesh_picture_and_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -66,3 +69,7 @@ def test_bad_requests_fail_in_one_line(
     assert message in error
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_every_measurement_is_an_option() -> None:
+    assert set(MEASUREMENTS) == {field.name for field in fields(BodyShape)} - {"betas"}

@@ -235,7 +235,7 @@ def test_a_mesh_without_the_body(weights, tmp_path):
         (["--set", "length"], "--set takes NAME=VALUE"),
         (["--fabric", "silk"], "unknown fabric 'silk'"),
         (["--betas", "1", "--stature", "1.7"], "either betas or measurements"),
-        (["--betas", "1", "2", "3"], "betas has 3 numbers, but the networks know the first 2"),
+        (["--betas", "1", "2", "3"], "betas has 3 numbers, but only the first 2 are known"),
         (["--betas", "nan"], "betas must be finite"),
         (["--stature", "172"], "172 looks like centimetres"),
         (["--out", "dress.fbx"], "suffix '.fbx' is none of"),

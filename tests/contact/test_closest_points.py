@@ -181,6 +181,6 @@ def test_nearest_vertices_by_tree_and_by_force(backend: str, monkeypatch: pytest
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
     found = np.asarray(nearest_vertices(surface, points))
     np.testing.assert_allclose(np.linalg.norm(points - vertices[found], axis=1), expected, atol=1e-5)
-    # What has left the numbers is near nothing; it must not stop the others.
+    # A point that is not finite is near nothing; it must not stop the others.
     lost = np.where(np.arange(5000)[:, None] < 3, np.nan, points)
     np.testing.assert_array_equal(np.asarray(nearest_vertices(surface, lost))[3:], found[3:])

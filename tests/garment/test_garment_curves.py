@@ -32,7 +32,7 @@ def test_line_keeps_its_ends() -> None:
 
 def test_resample_is_uniform_and_keeps_the_ends() -> None:
     line = np.array([[0, 0], [1, 0], [1, 2], [1, 2.5]])
-    points = curves.resample(line, 7)
+    points = curves.resample_polyline(line, 7)
     np.testing.assert_allclose(curves.arc_length(points), np.linspace(0, 3.5, 8), atol=1e-12)
     np.testing.assert_array_equal(points[[0, -1]], line[[0, -1]])
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import remesh as benchmark
-from experiments import pattern_sheet
+from experiments.data import pattern_sheet
 from tryon_jax.garment import load_design_space
 
 

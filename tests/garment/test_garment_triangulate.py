@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tryon_jax.garment.curves import polygon_area, resample
+from tryon_jax.garment.curves import polygon_area, resample_polyline
 from tryon_jax.garment.triangulate import (
     _scatter_inside,
     delaunay_inside,
@@ -24,7 +24,7 @@ def sampled(corners: list[list[float]], spacing: float) -> np.ndarray:
     closed = np.array([*corners, corners[0]], float)
     sides = []
     for a, b in itertools.pairwise(closed):
-        sides.append(resample(np.stack([a, b]), max(1, round(np.linalg.norm(b - a) / spacing)))[:-1])
+        sides.append(resample_polyline(np.stack([a, b]), max(1, round(np.linalg.norm(b - a) / spacing)))[:-1])
     return np.concatenate(sides)
 
 

@@ -11,7 +11,7 @@ from tryon_jax.contact.surface import build_surface
 from tryon_jax.physics.body_contact import (
     SLIDING,
     ContactLaw,
-    body_contact,
+    contact_forces,
     friction,
     normal_gradient,
     normal_hessian,
@@ -21,7 +21,7 @@ from tryon_jax.physics.body_contact import (
 
 LAW = ContactLaw()
 THICKNESS = jnp.asarray(0.004)
-contact_at = jax.jit(body_contact)
+contact_at = jax.jit(contact_forces)
 
 
 def test_pressure_law(x64: None) -> None:

@@ -17,12 +17,12 @@ from tryon_jax.nets import TryOnConfig, UNetConfig, apply_mean_drape
 from tryon_jax.tryon import (
     DrapeStages,
     body_contact,
-    carry,
     drape,
     drape_stages,
     init_model,
     load_model,
     mean_drape,
+    move_with_graph,
     prepare,
     report_penetration,
     save_model,
@@ -275,7 +275,7 @@ def test_own_mesh_of_another_density_is_carried_by_an_even_copy(model, garment):
     shift[: int(own.graph.num_vertices)] = (0.1, 0.2, 0.3)
     mean = jnp.asarray(own.graph.vertices)
     np.testing.assert_allclose(
-        own.unpad(carry(own, mean + shift, mean)) - fine, [[0.1, 0.2, 0.3]] * len(fine), atol=1e-5
+        own.unpad(move_with_graph(own, mean + shift, mean)) - fine, [[0.1, 0.2, 0.3]] * len(fine), atol=1e-5
     )
 
 

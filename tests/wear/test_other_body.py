@@ -22,7 +22,7 @@ def test_the_same_body_is_its_own_nearest_and_moves_nothing(known):
     betas = np.array([1.0, -0.5])
     np.testing.assert_allclose(other.nearest_betas(skin(known, betas).astype(np.float32)), betas, atol=0.05)
     vertices = skin(known, betas)
-    moved = other.carry(vertices, np.asarray(known.lbs_weights), betas, betas)
+    moved = other.transfer(vertices, np.asarray(known.lbs_weights), betas, betas)
     np.testing.assert_allclose(moved, vertices, atol=1e-5)
 
 
@@ -34,7 +34,7 @@ def test_the_skin_of_one_body_comes_near_to_that_of_another(known):
     target = skin(male, betas)
     nearest = other.nearest_betas(target.astype(np.float32))
     start = skin(known, nearest)
-    moved = other.carry(start, np.asarray(known.lbs_weights), nearest, betas)
+    moved = other.transfer(start, np.asarray(known.lbs_weights), nearest, betas)
     before, after = (np.linalg.norm(points - target, axis=1).mean() for points in (start, moved))
     assert after < 0.7 * before
 

@@ -124,7 +124,7 @@ def test_another_body_is_dressed_and_not_posed():
     [
         (lambda s: s.try_on("dres"), "did you mean 'dress'"),
         (lambda s: s.try_on({"length": 90.0}), "length = 90 m is outside"),
-        (lambda s: s.try_on(betas=(1.0, 2.0, 3.0)), "betas has 3 numbers, but this body takes at most 2"),
+        (lambda s: s.try_on(betas=(1.0, 2.0, 3.0)), "betas has 3 numbers, but only the first 2 are known"),
         (lambda s: s.try_on(betas=(np.nan,)), "betas must be finite"),
         (lambda s: s.try_on(fabric="silk"), "unknown fabric 'silk'"),
         (lambda s: s.prepare("dress", mesh="dress.obj"), "a design or a mesh, not both"),

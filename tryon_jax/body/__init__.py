@@ -6,7 +6,7 @@ from tryon_jax.body.landmarks import Landmarks, find_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_body
 from tryon_jax.body.normals import face_normals, vertex_normals
 from tryon_jax.body.pose import pose_body
-from tryon_jax.body.shape import check_betas, shape_body
+from tryon_jax.body.shape import check_betas, full_betas, shape_body
 from tryon_jax.body.smpl import load_smpl
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "check_betas",
     "face_normals",
     "find_landmarks",
+    "full_betas",
     "load_body",
     "load_smpl",
     "measure_body",

@@ -1,7 +1,7 @@
-"""The shape of a body from a few measurements: people know their height and not their betas."""
+"""The shape of a body from a few measurements."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,7 @@ _TOLERANCE = 0.001
 # A deviation of one millimetre weighs as much as a body one standard deviation away from the mean.
 _PRIOR = 0.3
 _LIMIT = 3.0
-# Standard deviations: bodies further from the mean are no longer people.
+# Standard deviations: bodies further from the mean are unrealistic.
 _WALL = 300.0
 REACHED = 0.005
 """Residual in metres below which a measurement counts as met."""
@@ -50,16 +50,29 @@ def _outside(body: Body, asked: Mapping[str, float], residuals: Mapping[str, flo
 
 
 def betas_from_measurements(
-    body: Body, measurements: Mapping[str, float], landmarks: Landmarks | None = None
+    body: Body,
+    measurements: Mapping[str, float],
+    landmarks: Landmarks | None = None,
+    num_betas: int | None = None,
 ) -> MeasurementFit:
-    """The likeliest shape of `body` with these `measurements` (any of `MEASUREMENTS`, metres).
+    """The likeliest shape of a body with these measurements.
 
     Levenberg-Marquardt on the differences in millimetres with a weak prior that draws each beta to the mean and a
     steep one beyond three standard deviations: what the measurements leave open stays average. Host side.
 
-    Raises `ValueError` for no measurement, an unknown name, or a value that is no adult's (also for centimetres).
     Measurements that the body cannot have together do not raise: the nearest body comes back and `outside` says so.
+
+    Args:
+        body: The body.
+        measurements: Metres, by names of `MEASUREMENTS`.
+        landmarks: Of the body; found on it when None.
+        num_betas: Search shapes of the first so many betas alone; all when None.
+
+    Raises:
+        ValueError: No measurement, an unknown name, or a value that is no adult's (also for centimetres).
     """
+    if num_betas is not None:
+        body = replace(body, shapedirs=body.shapedirs[..., :num_betas])
     asked = {name: check_measurement(name, value) for name, value in measurements.items()}
     if not asked:
         raise ValueError("give at least one measurement, such as {'stature': 1.72}")

@@ -1,6 +1,6 @@
-"""Where a tailor's tape and ruler go: places on the body's surface, found once on the mean body (host side).
+"""Landmarks of a body: where girths and lengths are measured, found once on the mean body (host side).
 
-A place is fixed to the skin, as a weighted sum of vertices, and rides along when the shape changes. A tape is laid
+A place is fixed to the skin, as a weighted sum of vertices, and moves with it when the shape changes. A tape is laid
 level at the mean height of the loop where it lay on the mean body, around the mesh edges of its limb: the loop's own
 skin tilts with the shape by up to 5 cm, a tape does not. Levels follow ISO 8559-1 as far as a body in T-pose allows.
 """

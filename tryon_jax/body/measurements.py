@@ -1,4 +1,4 @@
-"""A body's measurements as tailors take them, differentiable in its shape."""
+"""Measurements of a body, as for clothes, differentiable in its shape."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ class Measurement:
     standard: str
     """Its name in ISO 8559-1:2017."""
     low: float
-    """Least value that is taken for one of an adult, metres."""
+    """Smallest value that an adult may have, metres."""
     high: float
     """Greatest such value, metres."""
 
@@ -57,6 +57,12 @@ def tape_girth(
     The tape is the convex hull of the points where the plane cuts the edges. By Cauchy's formula its perimeter is the
     integral of the support function over all directions, and the support of a hull is a maximum over the points: no
     hull is built, no order is needed, and gradients pass.
+
+    Args:
+        vertices: Vertices of the body, metres.
+        edges: Edges of the mesh that the tape crosses.
+        level: Offset of the plane along `normal`, metres.
+        normal: Unit normal of the plane.
     """
     normal = jnp.asarray(normal, vertices.dtype)
     ends = vertices[jnp.asarray(edges)]
@@ -113,6 +119,11 @@ def measure_body(
     armpits, so `shoulder_width` and `chest` are not quite those of a person with hanging arms. The forearms of the
     embedded bodies are somewhat short. `landmarks` are those of the body unless given; a body from a file that is
     traced by JAX needs them.
+
+    Args:
+        body: The body.
+        betas: Its shape, standard deviations.
+        landmarks: Of the body; found on it when None. A body from a file that is traced by JAX needs them.
     """
     landmarks = load_landmarks(body) if landmarks is None else landmarks
     return measure_vertices(shape_body(body, betas)[0], jax.tree.map(jnp.asarray, landmarks))

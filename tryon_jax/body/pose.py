@@ -58,6 +58,14 @@ def pose_body(
     (files of SMPL; the embedded bodies have none). Pure: jit, grad and `vmap`.
 
     Raises `ValueError` for betas of a wrong length or a pose that is not [J, 3].
+
+    Args:
+        body: The body.
+        betas: Its shape, standard deviations; those left out are 0.
+        pose: Axis-angle vector of each joint relative to its parent, radians.
+
+    Raises:
+        ValueError: betas of a wrong length, or a pose that is not [J, 3].
     """
     pose = jnp.asarray(pose)
     count = len(body.parents)

@@ -9,7 +9,7 @@ from tryon_jax.checks import check_finite
 from tryon_jax.types import EXACT, ArrayLike, Body
 
 MAX_BETA = 5.0
-"""Largest deviation from the mean that is taken for a wish and not for a mistake, standard deviations."""
+"""Largest beta that is accepted, standard deviations: larger ones are taken for mistakes."""
 
 
 def shape_body(body: Body, betas: Float[ArrayLike, " b"]) -> tuple[Float[Array, "V 3"], Float[Array, "J 3"]]:
@@ -49,3 +49,21 @@ def check_betas(body: Body, betas: AnyArrayLike) -> Float[Array, " b"]:
             f"beta {k + 1} = {vector[k]:g} is outside its range {-MAX_BETA:g} to {MAX_BETA:g} standard deviations"
         )
     return jnp.asarray(vector, jnp.result_type(float))
+
+
+def full_betas(body: Body, betas: Float[np.ndarray, " k"], num_betas: int) -> Float[np.ndarray, " b"]:
+    """The first `num_betas` betas of a body, of which a user gave some (host side).
+
+    Args:
+        body: The body.
+        betas: At most `num_betas` numbers, standard deviations; those left out are 0.
+        num_betas: How many are taken: all of the body, or those that the networks know.
+
+    Raises:
+        ValueError: Too many betas, or values that `check_betas` refuses.
+    """
+    if len(betas) > num_betas:
+        raise ValueError(f"betas has {len(betas)} numbers, but only the first {num_betas} are known")
+    every = np.zeros(num_betas, np.float32)
+    every[: len(betas)] = betas
+    return np.asarray(check_betas(body, every), np.float32)

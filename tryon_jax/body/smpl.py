@@ -161,7 +161,7 @@ _ONE_BETA = (1e-4, 0.5)
 
 
 def _metres(file: Path, template: np.ndarray, directions: np.ndarray) -> float:
-    """Metres in the file's unit of length; raises `ValueError` where its size is no person's in any unit."""
+    """Metres in the file's unit of length; raises `ValueError` where its size is not a person's in any unit."""
     size = float(np.ptp(template, axis=0).max())
     units = fitting_units(size, *PERSON)
     if not units:

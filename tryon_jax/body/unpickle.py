@@ -1,7 +1,7 @@
 """Read arrays out of a pickle without running anything that the pickle says.
 
-A pickle is a program. This reader gives it a fixed handful of names, none of which belongs to NumPy, SciPy or chumpy:
-each is a stand-in defined here that does no more than take down numbers. Every other name stops the reading.
+A pickle is a program. Here it may use a few names only. None of them refers to NumPy, SciPy or chumpy: each is a
+stand-in defined here that stores numbers and does nothing else. Any other name ends the reading with an error.
 """
 
 import pickle
@@ -95,7 +95,7 @@ class _Sparse(_Held):
 
 
 class _Chumpy(_Held):
-    """Takes down an array of chumpy, or a selection of entries of one."""
+    """Stores an array of chumpy, or a selection of its entries."""
 
     def settle(self) -> Any:
         """The array."""

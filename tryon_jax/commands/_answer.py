@@ -9,7 +9,7 @@ from jaxtyping import Float
 from tryon_jax.body.measurements import check_measurement
 from tryon_jax.checks import check_choice, check_file
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._request import Request, resolve_betas, resolve_design
+from tryon_jax.commands._request import Request, check_shape, resolve_betas, resolve_design
 from tryon_jax.contact.push_out import CLEARANCE
 from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.wear.dressed import DressedBody
@@ -54,8 +54,7 @@ def check(session: Session, request: Request, treatment: Treatment) -> None:
     measurements = request.shape.measurements()
     for name, value in measurements.items():
         check_measurement(name, value)
-    if measurements and request.shape.betas:
-        raise ValueError("give either betas or measurements of the body, not both")
+    check_shape(request.shape)
     if not measurements:
         betas, _ = resolve_betas(session.body, request.shape, session.num_betas)
         if session.other is None and treatment.gate:

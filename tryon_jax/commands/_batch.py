@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from tryon_jax.commands._answer import Treatment, answer, check
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import record, report_lines
 from tryon_jax.commands._request import Request
 from tryon_jax.commands._say import say
@@ -57,7 +57,7 @@ class Batch:
     requests: Sequence[Request]
     targets: Sequence[Target]
     treatment: Treatment
-    look: Look
+    output: OutputOptions
     pose: Float[np.ndarray, "J 3"] | None
     options: str
     """Everything else that the results depend on, as text."""
@@ -100,7 +100,7 @@ class Batch:
         """Drape one row and write its files; what goes wrong becomes part of the record."""
         try:
             dressed, remarks = answer(session, request, self.treatment, clock, self.pose)
-            written = target.write(dressed, request.name, self.look, clock)
+            written = target.write(dressed, request.name, self.output, clock)
         except (Refused, Diverged) as error:
             say(f"refused  {error}")
             return {"name": request.name, "outcome": "refused", "error": str(error)}

@@ -21,7 +21,7 @@ _PARTS = {"both": PARTS, "garment": ("garment",), "body": ("body",)}
 
 
 @dataclass(frozen=True)
-class Look:
+class OutputOptions:
     """How results are drawn and what a mesh file holds."""
 
     views: tuple[str, ...] = ("front", "side", "back")
@@ -64,22 +64,22 @@ class Target:
         if len(set(real)) != len(real):
             raise ValueError(f"each output needs a path of its own, got {', '.join(map(str, self.paths))}")
 
-    def write(self, dressed: DressedBody, name: str, look: Look, clock: Clock) -> Sequence[Path]:
+    def write(self, dressed: DressedBody, name: str, output: OutputOptions, clock: Clock) -> Sequence[Path]:
         """Write all of them, then put all in their places; returns their paths."""
-        colors = None if look.map is None or dressed.fit is None else map_colors(dressed.fit, look.map)
+        colors = None if output.map is None or dressed.fit is None else map_colors(dressed.fit, output.map)
         with together():
             if self.mesh is not None:
                 with clock.stage("mesh file"):
-                    dressed.write(self.mesh, colors, parts=_PARTS[look.parts], gate=False)
+                    dressed.write(self.mesh, colors, parts=_PARTS[output.parts], gate=False)
             if self.picture is not None:
                 with clock.stage("picture"):
-                    options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(look.map)]}
+                    options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(output.map)]}
                     render_picture(
                         self.picture,
                         (dressed.body.vertices, dressed.body.faces),
                         (dressed.vertices, dressed.faces),
-                        views=look.views,
-                        height=look.height,
+                        views=output.views,
+                        height=output.height,
                         **options,
                     )
             if self.report is not None:

@@ -2,14 +2,14 @@
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
 
 from tryon_jax.body.from_measurements import betas_from_measurements
 from tryon_jax.body.measurements import MEASUREMENTS
-from tryon_jax.body.shape import check_betas
+from tryon_jax.body.shape import full_betas
 from tryon_jax.checks import check_choice, check_file
 from tryon_jax.garment import Design, DesignSpace
 from tryon_jax.types import Body
@@ -92,22 +92,31 @@ def resolve_design(space: DesignSpace, cut: Cut) -> Design:
     return space.design(base.label, **(base.as_dict() | changes)) if changes else base
 
 
-def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndarray, list[str]]:
-    """The betas [num_betas] that are meant, and remarks on how well measurements are met.
-
-    Raises `ValueError` when both betas and measurements are given, for too many betas, or for values out of range.
-    """
-    asked = shape.measurements()
-    if asked and shape.betas:
+def check_shape(shape: BodyShape) -> None:
+    """Raise `ValueError` when both betas and measurements are given."""
+    if shape.betas and shape.measurements():
         raise ValueError("give either betas or measurements of the body, not both")
-    if len(shape.betas) > num_betas:
-        raise ValueError(f"betas has {len(shape.betas)} numbers, but the networks know the first {num_betas} only")
+
+
+def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndarray, list[str]]:
+    """The body shape that is meant.
+
+    Args:
+        body: The body.
+        shape: What was asked for.
+        num_betas: How many betas are known; a shape with these measurements is looked for among those.
+
+    Returns:
+        Betas [num_betas], and remarks on how well the measurements are met.
+
+    Raises:
+        ValueError: Both betas and measurements, too many betas, or values out of range.
+    """
+    check_shape(shape)
+    asked = shape.measurements()
     if not asked:
-        betas = np.zeros(num_betas, np.float32)
-        betas[: len(shape.betas)] = shape.betas
-        return np.asarray(check_betas(body, betas), np.float32), []
-    # Only shapes that the networks know are searched.
-    fit = betas_from_measurements(replace(body, shapedirs=body.shapedirs[..., :num_betas]), asked)
+        return full_betas(body, np.asarray(shape.betas, np.float32), num_betas), []
+    fit = betas_from_measurements(body, asked, num_betas=num_betas)
     remarks = ["betas    " + " ".join(f"{b:+.2f}" for b in np.asarray(fit.betas)) + " from measurements"]
     if fit.outside is not None:
         remarks.append(f"note     {fit.outside}")
@@ -123,7 +132,8 @@ def read_requests(path: Path) -> list[Request]:
     `name` (the result's file name) is the row's number when it is not given; lists are separated by spaces.
 
     Raises:
-        ValueError: unknown columns, numbers that are none, rows with too many cells, or two rows of one name; all rows
+        ValueError: unknown columns, cells that are not numbers, rows with too many cells, or two rows of one name; all
+        rows
             that are wrong are named.
     """
     with check_file("batch file", path).open(newline="", encoding="utf-8-sig") as stream:

@@ -1,11 +1,11 @@
-"""Lines for whoever reads; a reader who went away does not stop the work."""
+"""Printing; a closed output does not stop the work."""
 
 import os
 import sys
 
 
 def say(*lines: object) -> None:
-    """Print lines at once. Where nobody reads any more, they go nowhere, and the files are written all the same."""
+    """Print lines at once. Where the output is closed they are dropped, and the files are still written."""
     try:
         for line in lines:
             print(line, flush=True)

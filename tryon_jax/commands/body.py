@@ -14,7 +14,7 @@ import numpy as np
 from tryon_jax.body import check_betas, load_body, load_smpl, shape_body
 from tryon_jax.body.landmarks import load_landmarks
 from tryon_jax.body.measurements import MEASUREMENTS, measure_vertices
-from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._request import BodyShape, resolve_betas
 from tryon_jax.commands._say import say
 from tryon_jax.files.atomic import together, write_text
@@ -48,7 +48,7 @@ def main(config: Config) -> None:
     """Shape the body, write the files, and print its measurements."""
     target = Target(config.out, config.picture, config.report)
     target.check()
-    Look(config.views, config.height).check()
+    OutputOptions(config.views, config.height).check()
     body = load_body(config.body) if config.smpl is None else load_smpl(config.smpl)
     check_betas(body, np.asarray(config.shape.betas, float))
     betas, remarks = resolve_betas(body, config.shape, body.num_betas)
@@ -70,7 +70,15 @@ def main(config: Config) -> None:
 def describe(
     body: Body, betas: np.ndarray, remarks: list[str], measured: dict[str, float], asked: dict[str, float]
 ) -> list[str]:
-    """The body in words: its size, its betas, each measurement and how far it is from the one asked for."""
+    """The body in words: its size, its betas, each measurement and how far it is from the one asked for.
+
+    Args:
+        body: The body.
+        betas: Its shape, standard deviations.
+        remarks: How the betas were found, one line each.
+        measured: Its measurements by name, metres.
+        asked: Those that were asked for, metres.
+    """
     lines = [f"body     {body.name}; {len(body.v_template)} vertices, {len(body.faces)} faces"]
     lines += remarks or ["betas    " + " ".join(f"{beta:+.2f}" for beta in betas)]
     for name in MEASUREMENTS:

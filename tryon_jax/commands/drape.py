@@ -14,7 +14,7 @@ from tryon_jax.checks import check_file, check_range
 from tryon_jax.commands._answer import Treatment, answer
 from tryon_jax.commands._batch import TABLE, Batch
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._output import Look, Target
+from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import report_lines
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._say import say
@@ -88,8 +88,8 @@ def _load(weights: Path | None) -> TryOnModel:
 def main(config: Config) -> None:
     """Drape what is asked for, write the files, and print the fit and where the time went."""
     clock = Clock()
-    look = Look(config.views, config.height, config.map, config.parts)
-    requests, targets = _plan(config, look)
+    output = OutputOptions(config.views, config.height, config.map, config.parts)
+    requests, targets = _plan(config, output)
     with clock.stage("weights"):
         model = _load(config.weights)
     with clock.stage("body"):
@@ -107,11 +107,11 @@ def main(config: Config) -> None:
     )
     if config.batch is not None:
         folder = Path(str(config.out))
-        _drape_batch(session, Batch(folder, requests, targets, treatment, look, pose, _options(config)), clock)
+        _drape_batch(session, Batch(folder, requests, targets, treatment, output, pose, _options(config)), clock)
         return
     (request,), (target,) = requests, targets
     dressed, remarks = answer(session, request, treatment, clock, pose)
-    written = target.write(dressed, request.name, look, clock)
+    written = target.write(dressed, request.name, output, clock)
     say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written), clock)
 
 
@@ -136,9 +136,9 @@ def _options(config: Config) -> str:
     return repr(replace(config, out=None, batch=None))
 
 
-def _plan(config: Config, look: Look) -> tuple[list[Request], list[Target]]:
+def _plan(config: Config, output: OutputOptions) -> tuple[list[Request], list[Target]]:
     """What to drape and where to write it; everything that can be refused is refused before anything is computed."""
-    look.check()
+    output.check()
     config.own.placing.check()
     if config.refine is not None and len(config.refine) > 1:
         raise ValueError(f"--refine takes one number of steps or none, got {' '.join(map(str, config.refine))}")

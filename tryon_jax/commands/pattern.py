@@ -65,7 +65,13 @@ def main(config: Config) -> None:
 
 
 def describe(space: DesignSpace, design: Design, garment: GarmentMesh) -> list[str]:
-    """What one says about a pattern: its parameters with their ranges, its edges, its fabric, its mesh."""
+    """What one says about a pattern: its parameters with their ranges, its edges, its fabric, its mesh.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        garment: Its mesh.
+    """
     lines = [f"design   {design.label or 'your own'}; presets: {', '.join(space.presets)}"]
     for k, name in enumerate(space.names):
         lines.append(

@@ -24,8 +24,8 @@ class SurfacePoint:
     normal: Float[Array, "P 3"]
     """Unit normal interpolated from the vertices."""
     height: Float[Array, " P"]
-    """Offset from the closest point along `normal`, metres; negative inside. What contact forces act on; beside an edge
-    or a corner it is shorter than the distance, which `signed_distances` gives."""
+    """Offset from the closest point along `normal`, metres; negative inside. Contact forces use it. Beside an edge or a
+    corner it is shorter than the distance, which `signed_distances` gives."""
     face: Int[Array, " P"]
     barycentric: Float[Array, "P 3"]
 
@@ -33,7 +33,17 @@ class SurfacePoint:
 def closest_point_on_triangle(
     p: Float[Array, "*B 3"], a: Float[Array, "*B 3"], b: Float[Array, "*B 3"], c: Float[Array, "*B 3"]
 ) -> Float[Array, "*B 3"]:
-    """Barycentric coordinates of the point of triangle (a, b, c) closest to p."""
+    """Barycentric coordinates of the point of triangle (a, b, c) closest to p.
+
+    Args:
+        p: Points, metres.
+        a: First corner of each triangle, metres.
+        b: Second corner.
+        c: Third corner.
+
+    Returns:
+        Three weights, not negative, with sum 1.
+    """
     ab, ac, ap = b - a, c - a, p - a
     ab2, ac2, abac = _dot(ab, ab), _dot(ac, ac), _dot(ab, ac)
     d1, d2 = _dot(ab, ap), _dot(ac, ap)
@@ -59,7 +69,13 @@ def closest_point_on_triangle(
 
 
 def closest_faces(surface: Surface, points: Float[Array, "P 3"], vertex: Int[ArrayLike, " P"]) -> Int[Array, " P"]:
-    """The face nearest to each point among those around a given vertex (the nearest one, from `nearest_vertices`)."""
+    """The face nearest to each point among those around a given vertex (the nearest one, from `nearest_vertices`).
+
+    Args:
+        surface: The body.
+        points: Metres.
+        vertex: The body vertex nearest to each point.
+    """
     ring = surface.vertex_faces[vertex]
     corners = surface.vertices[surface.faces[ring]]
     p = points[:, None]
@@ -76,6 +92,12 @@ def follow_faces(
     """Move each point's face to a neighbour across an edge while that is nearer, at most `hops` times.
 
     The neighbour tried is the one across the edge beyond which the point's projection lies farthest.
+
+    Args:
+        surface: The body.
+        points: Metres.
+        face: Where the search starts.
+        hops: Faces that a point may cross.
     """
 
     def project(at):
@@ -96,7 +118,13 @@ def follow_faces(
 
 
 def point_on_faces(surface: Surface, points: Float[Array, "P 3"], face: Int[Array, " P"]) -> SurfacePoint:
-    """Closest point of each point on its given face, with the height along the interpolated normal."""
+    """Closest point of each point on its given face, with the height along the interpolated normal.
+
+    Args:
+        surface: The body.
+        points: Metres.
+        face: The face of each point.
+    """
     index = surface.faces[face]
     corners, normals = surface.vertices[index], surface.normals[index]
     weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])
@@ -111,6 +139,11 @@ def signed_distances(surface: Surface, points: Float[Array, "P 3"], face: Int[Ar
 
     The definition of `contact.signed_distance`, on the device: the sign is that of the angle-weighted pseudonormal.
     Differentiable in the points and the surface.
+
+    Args:
+        surface: The body.
+        points: Metres.
+        face: The face on which each point's closest point lies.
     """
     corners = surface.vertices[surface.faces[face]]
     weights = closest_point_on_triangle(points, corners[:, 0], corners[:, 1], corners[:, 2])

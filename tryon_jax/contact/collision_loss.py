@@ -29,6 +29,11 @@ def list_neighbours(body: Body, near: int = 24, far: int = 8) -> VertexNeighbour
     """Neighbours of each vertex of the mean body: the `near` closest ones, and `far` ones farther and farther away.
 
     The far ones, at ranks that double, let a walk cross gaps (from one leg to the other) and large distances.
+
+    Args:
+        body: The body.
+        near: Number of closest vertices.
+        far: Number of vertices farther away.
     """
     points = np.asarray(body.v_template)
     ranks = near * 2 ** np.arange(1, far + 1)
@@ -44,7 +49,7 @@ def closest_vertices(
     start: Int[ArrayLike, " N"],
     steps: int = 3,
 ) -> tuple[Int[Array, " N"], Bool[Array, " N"]]:
-    """Index of the body vertex closest to each point, and whether the walk had come to rest there.
+    """Index of the body vertex closest to each point, and whether the search had converged there.
 
     Args:
         neighbours: From `list_neighbours`, for any shape of this body.
@@ -78,6 +83,13 @@ def collision_depths(
     """max(margin − n_k · (v_i − v_k), 0) for each garment vertex and its closest body vertex k, metres.
 
     The paper's L_collision has no margin. Differentiable in the points, and in the body where it depends on betas.
+
+    Args:
+        points: Garment vertices, metres.
+        body_vertices: Metres.
+        body_normals: Unit normals of the body's vertices.
+        closest: The body vertex closest to each point.
+        margin: Distance to keep, metres.
     """
     offset = points - body_vertices[closest]
     return jnp.maximum(margin - (body_normals[closest] * offset).sum(-1), 0.0)
@@ -94,6 +106,16 @@ def collision_loss(
     steps: int = 3,
 ) -> tuple[Float[Array, ""], dict[str, Float[Array, ""]]]:
     """Mean collision depth over the real vertices of a padded garment, metres (the paper's L_collision).
+
+    Args:
+        points: Garment vertices with padding, metres.
+        mask: Which of them are no padding.
+        body_vertices: Metres.
+        body_normals: Unit normals of the body's vertices.
+        neighbours: Of the body's vertices, from `list_neighbours`.
+        start: Body vertex at which the search for the closest one starts.
+        margin: Distance to keep, metres.
+        steps: Steps of the search.
 
     Returns:
         The loss, and measurements: "inside", the share of vertices inside the body; "deepest", metres; "unsettled",

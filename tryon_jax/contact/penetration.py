@@ -14,7 +14,7 @@ from tryon_jax.types import ArrayLike, Body, pytree
 
 @pytree
 class BodyContact:
-    """What distances from a body need that its shape does not change; made once by `body_contact`."""
+    """The part of a distance query that does not depend on the body's shape; made once by `body_contact`."""
 
     surface: Surface
     neighbours: VertexNeighbours
@@ -31,7 +31,7 @@ class PenetrationReport:
     deepest: Float[Array, "*batch"]
     """Depth of the deepest vertex, metres; 0 when none is inside."""
     unsettled: Float[Array, "*batch"]
-    """Share of the real vertices whose search for the skin had not come to rest."""
+    """Share of the real vertices whose search for the skin had not converged."""
 
 
 def body_contact(body: Body) -> BodyContact:
@@ -51,7 +51,7 @@ def report_penetration(
     start: Int[ArrayLike, " N"],
     mask: Bool[ArrayLike, " N"],
 ) -> PenetrationReport:
-    """Distances of draped vertices from the skin of the bodies that they are worn on.
+    """Distances of draped vertices from the skin of the bodies under them.
 
     The closest body vertex is searched as for the collision loss, from where the vertex was on the mean body; the
     closest triangle is then the one of those around it, or one that is reached from there across edges. Where the skin

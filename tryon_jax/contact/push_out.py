@@ -1,4 +1,4 @@
-"""Bring a drape out of the body by the smallest displacement, and prove it by exact distances (host side).
+"""Move a drape out of the body by the smallest displacement, and check it by exact distances (host side).
 
 Constraints are that samples of the cloth (its vertices, the middles of its edges and faces) keep a clearance from the
 body. Each round linearises them at the closest points, takes the displacement of least squares norm that satisfies
@@ -72,7 +72,7 @@ def push_out(
     Args:
         vertices: The drape, metres, without padding.
         faces: Its triangles.
-        body: The body's surface in the shape it is worn on.
+        body: The body's surface, in the shape that the garment was draped on.
         clearance: Distance to keep, metres; cloth that keeps it is not touched.
         max_rounds: Rounds at most. `PushedOut.is_outside` says whether they were enough.
 
@@ -125,7 +125,7 @@ def _least_move(
     multiplier = np.zeros(len(missing))
     previous, momentum = multiplier, 1.0
     for _ in range(_INNER_STEPS):
-        # Nesterov's extrapolation, restarted by the projection where a constraint lets go.
+        # Nesterov's extrapolation, restarted by the projection where a constraint becomes inactive.
         following = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum**2))
         ahead = multiplier + (momentum - 1.0) / following * (multiplier - previous)
         previous, momentum = multiplier, following

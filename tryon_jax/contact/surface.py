@@ -28,7 +28,7 @@ class Surface:
 
 
 def build_surface(vertices: Float[ArrayLike, "V 3"], faces: Int[ArrayLike, "F 3"]) -> Surface:
-    """Surface with its topology, on the host; move it later with `move_surface`.
+    """Prepare a surface with its topology, on the host; `move_surface` moves it later.
 
     Raises:
         ValueError: the mesh is not closed (an edge without two faces).
@@ -78,7 +78,13 @@ def nearest_vertices(surface: Surface, points: Float[ArrayLike, "P 3"]) -> Int[A
 def closest_vertices_exact(
     body_vertices: Float[Array, "B 3"], points: Float[Array, "N 3"], block: int = 256
 ) -> Int[Array, " N"]:
-    """Index of the closest body vertex by trying all of them, `block` points at a time; jittable."""
+    """Index of the closest body vertex by trying all of them, `block` points at a time; jittable.
+
+    Args:
+        body_vertices: Metres.
+        points: Metres.
+        block: Points at a time.
+    """
     body_vertices, points = jax.lax.stop_gradient((body_vertices, points))
     count = points.shape[0]
     padded = jnp.pad(points, ((0, -count % block), (0, 0)))

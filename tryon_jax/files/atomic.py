@@ -98,7 +98,7 @@ def check_target(path: str | Path) -> Path:
 
 
 def _named(error: OSError, target: Path) -> OSError:
-    """The error with the file that was meant in place of a temporary one."""
+    """The error, with the name of the target in place of the temporary file's."""
     if str(error).startswith("cannot write"):
         return error
     return type(error)(f"cannot write {str(target)!r}: {error.strerror or error}")

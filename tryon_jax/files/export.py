@@ -68,6 +68,15 @@ def mesh_part(
 
     `uv` without `faces_uv` means one texture coordinate per vertex.
 
+    Args:
+        name: Name of the part in the file.
+        vertices: Metres.
+        faces: Triangles.
+        material: Colour and roughness.
+        uv: Texture coordinates; without `faces_uv` one for each vertex.
+        faces_uv: Entry of `uv` of every face corner.
+        colors: sRGB colour of each vertex, 0 to 1.
+
     Raises:
         ValueError: numbers that are not finite, indices out of range, `faces_uv` without `uv`, or `uv` of neither kind.
     """

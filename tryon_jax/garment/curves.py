@@ -44,7 +44,7 @@ def point_at(line: Float[np.ndarray, "N 2"], fraction: Float[np.ndarray, " M"]) 
     return np.stack([np.interp(where, at, line[:, 0]), np.interp(where, at, line[:, 1])], axis=1)
 
 
-def resample(line: Float[np.ndarray, "N 2"], segments: int) -> Float[np.ndarray, "M 2"]:
+def resample_polyline(line: Float[np.ndarray, "N 2"], segments: int) -> Float[np.ndarray, "M 2"]:
     """`segments` + 1 points at equal distances along the polyline."""
     points = point_at(line, np.linspace(0.0, 1.0, segments + 1))
     points[0], points[-1] = line[0], line[-1]

@@ -1,7 +1,7 @@
 """The dense mesh of a design: first simulations run on it, and are then downsampled to the template.
 
-It lies on the template like a finer drawing on a coarse one: each dense vertex keeps its place in a template triangle
-for every design, so that the two never drift apart, and outlines follow the design's own curves.
+Each dense vertex keeps its place in a template triangle for every design, so that the two stay aligned. Outlines follow
+the design's own curves.
 """
 
 import functools
@@ -18,7 +18,7 @@ from tryon_jax.garment.locate import tie_panel
 from tryon_jax.garment.mesh import SewnMesh
 from tryon_jax.garment.morph import mean_value_laplacian, spread, untangle
 from tryon_jax.garment.sewing import count_outline_vertices, sample_outline
-from tryon_jax.garment.template import carry, load_reference, sew_pattern, tie_patterns
+from tryon_jax.garment.template import load_reference, morph_reference, sew_pattern, tie_patterns
 from tryon_jax.garment.triangulate import triangulate
 
 DENSE_VERTICES = 17_246
@@ -98,7 +98,7 @@ def dense_template(space: DesignSpace, design: Design, num_vertices: int = DENSE
     Source: section "Dataset and Implementation Details" of the paper.
     """
     layout = space.layout
-    template = carry(space, design)
+    template = morph_reference(space, design)
     counts, panels = _dense_reference(layout, num_vertices)
     drawn = space.draw(design)
     outlines = [sample_outline(panel, drawn, counts) for panel in layout.panels]

@@ -1,4 +1,4 @@
-"""Design space and designs: the few numbers, in metres, that a garment is cut by."""
+"""Design spaces and designs: the parameters, in metres, that a garment is cut from."""
 
 import functools
 from collections.abc import Mapping, Sequence

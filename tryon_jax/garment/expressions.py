@@ -85,6 +85,11 @@ def _check(node: ast.expr, text: object, where: str) -> None:
 def evaluate(node: ast.expr, names: Mapping[str, float], where: str) -> float:
     """Value of a parsed expression.
 
+    Args:
+        node: What `ast.parse` made of the expression.
+        names: Values by name.
+        where: Entry of the layout file, for messages.
+
     Raises:
         ValueError: for a name that is not (yet) defined, a division by zero, or a result that is not finite.
     """

@@ -1,4 +1,4 @@
-"""Does a layout draw panels that can be cut and sewn, over its whole range of parameters?"""
+"""Checks that a layout draws panels that can be cut and sewn, over its whole range of parameters."""
 
 import itertools
 from collections.abc import Mapping
@@ -54,7 +54,9 @@ def check_drawing(layout: Layout, values: Mapping[str, float]) -> None:
                 raise ValueError(f"{where}: edge {edge!r} ends {gap:.4f} m from the start of {following!r} ({at})")
             if curves.length(drawn[edge]) < 0.01:
                 raise ValueError(f"{where}: edge {edge!r} is shorter than 1 cm ({at})")
-        lines = {e: curves.resample(drawn[e], max(2, int(curves.length(drawn[e]) / 0.01))) for e, _ in panel.outline}
+        lines = {
+            e: curves.resample_polyline(drawn[e], max(2, int(curves.length(drawn[e]) / 0.01))) for e, _ in panel.outline
+        }
         outline = layout.panel_outline(panel, lines)
         crossing = curves.first_crossing(outline)
         if crossing is not None:

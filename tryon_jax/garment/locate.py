@@ -1,4 +1,4 @@
-"""Where does a point of the pattern lie on another triangulation of the same pattern?"""
+"""Where points of a pattern lie on another triangulation of the same pattern."""
 
 from collections.abc import Mapping
 
@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 CANDIDATES = (3, 12)
-"""Triangles with the nearest centroids that are tried before all of them are: three hold 97 of 100 points."""
+"""Triangles with the nearest centroids that are tried before all of them are: 97 of 100 points lie in one of three."""
 
 OUTSIDE = 1e-3
 """Barycentric weights down to minus this count as inside."""
@@ -35,6 +35,14 @@ def locate(
 
     A point outside of all triangles (the coarser mesh cuts the corners of curved outlines) gets the triangle that it
     is least outside of, and weights clamped to it: not negative, sum 1.
+
+    Args:
+        points: Points of the plane.
+        corners: Corners of the triangles, in the same plane.
+        faces: Triangles, indices into `corners`.
+
+    Returns:
+        Index of a triangle for each point, and three weights.
     """
     triangles = corners[faces]
     tree = cKDTree(triangles.mean(axis=1))
@@ -93,6 +101,16 @@ def tie_panel(
     """Barycentric map from one triangulation of a panel (`base`) to another: three points and weights for each point.
 
     Samples on the outline go by their fraction of the edge, points inside by the triangle that they lie in.
+
+    Args:
+        points: Of the one triangulation, metres.
+        edges: Its outline samples by edge, from end to end.
+        base_points: Of the base, metres.
+        base_faces: Triangles of the base.
+        base_edges: Outline samples of the base by edge.
+
+    Returns:
+        Three indices into `base_points` for each point, and their weights.
     """
     corners = np.zeros((len(points), 3), np.int64)
     weights = np.zeros((len(points), 3))

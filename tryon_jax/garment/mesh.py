@@ -1,4 +1,4 @@
-"""What sewing makes: one welded surface with UV coordinates on both sides of each seam."""
+"""The result of sewing: one welded surface with UV coordinates on both sides of each seam."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Carrying a triangulated panel from one outline to another without turning a triangle over.
+"""Moving a triangulated panel from one outline to another without inverting a triangle.
 
 One harmonic or mean-value map from the reference to a far design folds triangles at the underarm, where the outline
 is concave. Several short steps, each with the mean-value weights (Floater, "Mean value coordinates", CAGD 2003) of
@@ -73,7 +73,17 @@ def untangle(
     num_outline: int,
     iterations: int = 60,
 ) -> Float[np.ndarray, "N 2"]:
-    """Move inner corners of triangles with less than 0.15 of the median area until they have it."""
+    """Move inner corners of triangles with less than 0.15 of the median area until they have it.
+
+    Args:
+        points: Of a panel, metres; those of the outline first.
+        faces: Triangles.
+        num_outline: How many points are the outline's, which stay.
+        iterations: Steps at most.
+
+    Returns:
+        The points, moved.
+    """
     points = points.copy()
     enough = 0.15 * np.median(signed_areas(points, faces))
     for _ in range(iterations):
@@ -100,7 +110,16 @@ def spread(
     """Move inner points to make triangles rounder: Jacobi steps on the sum of squared mean-ratio qualities.
 
     The quality (l₁² + l₂² + l₃²) / (4 √3 area) is 1 for an equilateral triangle and infinite for a flat one, so no
-    triangle turns over on the way. Points without inverted triangles are needed; others are returned as they came.
+    triangle is inverted on the way. Points without inverted triangles are needed; others are returned as they came.
+
+    Args:
+        points: Of a panel, metres; those of the outline first.
+        faces: Triangles.
+        num_outline: How many points are the outline's, which stay.
+        iterations: Steps at most.
+
+    Returns:
+        The points, moved.
     """
     if signed_areas(points, faces).min() <= 0:
         return points

@@ -1,4 +1,4 @@
-"""Panels as flat meshes and as pictures: what a pattern looks like before it is sewn."""
+"""Panels as flat meshes and as pictures, before they are sewn."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,7 +50,14 @@ def write_panels_obj(path: str | Path, mesh: SewnMesh) -> None:
 
 
 def draw_panels(axes: "Axes", space: DesignSpace, design: Design, color: str = "#2b4a6b") -> None:
-    """Draw a design's panels over one another, as on a pattern sheet: outlines filled, the first in front."""
+    """Draw a design's panels over one another, as on a pattern sheet: outlines filled, the first in front.
+
+    Args:
+        axes: Where to draw.
+        space: The design's space.
+        design: The design.
+        color: Of the outlines; the fill is a paler one.
+    """
     drawn = space.draw(design)
     for panel in reversed(space.layout.panels):
         outline = space.layout.panel_outline(panel, drawn)
@@ -63,7 +70,15 @@ def draw_panels(axes: "Axes", space: DesignSpace, design: Design, color: str = "
 def draw_triangles(
     axes: "Axes", mesh: SewnMesh, panel: int = 0, color: str = "#2b4a6b", linewidth: float = 0.35
 ) -> None:
-    """Draw one panel's triangles in UV."""
+    """Draw one panel's triangles in UV.
+
+    Args:
+        axes: Where to draw.
+        mesh: The garment.
+        panel: Number of the panel.
+        color: Of the lines.
+        linewidth: Points.
+    """
     axes.triplot(*mesh.uv.T, mesh.faces_uv[mesh.panels == panel], color=color, linewidth=linewidth)
     axes.set_aspect("equal")
     axes.set_axis_off()
@@ -71,6 +86,11 @@ def draw_triangles(
 
 def picture_pattern(path: str | Path, space: DesignSpace, garment: GarmentMesh) -> None:
     """Write a picture of a design: its panels, and each panel's triangles.
+
+    Args:
+        path: Picture to write.
+        space: The design's space.
+        garment: The design's mesh.
 
     Raises:
         ImportError: where matplotlib (the extra `pictures`) is missing.

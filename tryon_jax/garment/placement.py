@@ -25,6 +25,12 @@ def placement(
     x = u and y = v + height; front panels bulge to +z and back panels to −z by depth · (1 − (1 − min(d / blend, 1))²),
     where d is the distance in UV to the nearest seam of the panel. Seams lie in the plane z = 0.
 
+    Args:
+        mesh: The garment.
+        height: Height of v = 0 above the pelvis, metres.
+        depth: Distance of a panel's middle from the plane z = 0, metres.
+        blend: Distance from a seam over which a panel rises to `depth`, metres.
+
     Returns:
         positions [V, 3], metres, pelvis at the origin.
     """

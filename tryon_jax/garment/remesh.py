@@ -9,7 +9,7 @@ from tryon_jax.garment.curves import polygon_area
 from tryon_jax.garment.design import Design, DesignSpace
 from tryon_jax.garment.mesh import GarmentMesh, SewnMesh
 from tryon_jax.garment.sewing import SampledOutline, edge_counts, sample_outline
-from tryon_jax.garment.template import carry, sew_pattern, tie_patterns
+from tryon_jax.garment.template import morph_reference, sew_pattern, tie_patterns
 from tryon_jax.garment.triangulate import edge_length, interior_count, triangulate
 from tryon_jax.mesh.quality import distortion, measure_quality
 
@@ -67,7 +67,7 @@ def remesh(
         faces.append(made[1])
     pattern = sew_pattern(layout, design, outlines, points, faces)
     sewn = pattern.mesh
-    vertices, weights = tie_patterns(pattern, carry(space, design))
+    vertices, weights = tie_patterns(pattern, morph_reference(space, design))
     return GarmentMesh(
         **{f.name: getattr(sewn, f.name) for f in fields(SewnMesh)},
         template_vertices=vertices,

@@ -23,6 +23,14 @@ def edge_counts(layout: Layout, drawn: Mapping[str, np.ndarray], spacing: float)
 
     The two edges of a seam get the same number, from their mean length: rounding each by itself would let seams
     disagree by one sample.
+
+    Args:
+        layout: The layout.
+        drawn: Polyline of each edge by name, metres.
+        spacing: Wanted distance between samples, metres.
+
+    Returns:
+        Number of segments by edge.
     """
     counts = {name: max(1, round(curves.length(line) / spacing)) for name, line in drawn.items()}
     for (_, first), (_, second) in layout.seams.values():
@@ -42,11 +50,20 @@ class SampledOutline:
 
 
 def sample_outline(panel: Panel, drawn: Mapping[str, np.ndarray], counts: Counts) -> SampledOutline:
-    """Equally spaced samples on every edge of a panel."""
+    """Equally spaced samples on every edge of a panel.
+
+    Args:
+        panel: The panel.
+        drawn: Polyline of each edge by name, metres.
+        counts: Number of segments by edge.
+
+    Returns:
+        Samples counter-clockwise in UV, with the indices of each edge.
+    """
     points, edges, start = [], {}, 0
     total = sum(counts[edge] for edge, _ in panel.outline)
     for edge, forward in panel.outline:
-        samples = curves.resample(drawn[edge], counts[edge])
+        samples = curves.resample_polyline(drawn[edge], counts[edge])
         index = np.arange(start, start + counts[edge] + 1) % total
         points.append((samples if forward else samples[::-1])[:-1])
         edges[edge] = index if forward else index[::-1]
@@ -58,6 +75,14 @@ def seam_samples(
     layout: Layout, outlines: Sequence[SampledOutline], start: Int[np.ndarray, " P"]
 ) -> dict[str, Int[np.ndarray, "_ 2"]]:
     """The pairs of outline samples that each seam joins, from end to end; panel k's samples begin at start[k].
+
+    Args:
+        layout: The layout.
+        outlines: Samples of each panel.
+        start: Index of each panel's first sample.
+
+    Returns:
+        Pairs of indices by seam.
 
     Raises:
         ValueError: where the two edges of a seam have different numbers of samples.

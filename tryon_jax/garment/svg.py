@@ -61,7 +61,14 @@ def pattern_svg(
     seam_allowance: float = SEAM_ALLOWANCE,
     hem_allowance: float = HEM_ALLOWANCE,
 ) -> str:
-    """The text of the SVG; see `write_svg`."""
+    """The text of the SVG; see `write_svg`.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        seam_allowance: Metres at seams.
+        hem_allowance: Metres at hems and cuffs.
+    """
     check_range("seam_allowance", seam_allowance, 0.0, 0.05, "m")
     check_range("hem_allowance", hem_allowance, 0.0, 0.05, "m")
     drawn = space.draw(design)
@@ -101,6 +108,11 @@ def cutting_line(
 
     Neighbouring edges meet where their offset lines cross, as a cutter would draw them; a corner that would reach out
     further than twice the larger allowance is cut off.
+
+    Args:
+        panel: The panel.
+        drawn: Polyline of each edge by name, metres.
+        allowances: Metres by edge.
     """
     sides = []
     for edge, forward in panel.outline:

@@ -1,6 +1,6 @@
 """The template: a small sewn mesh with the same connectivity for every design, whose UV follow the design.
 
-The reference is the triangulated mean design; other designs carry it along (`morph`).
+The reference is the triangulated mean design; it is moved to the outlines of other designs (`morph`).
 """
 
 import functools
@@ -31,7 +31,7 @@ designs and the 8 corners none is inverted and at most 0.4 % have an angle under
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """A triangulated reference design, from which every other design's template is carried along."""
+    """A triangulated reference design, from which every other design's template is made."""
 
     values: Mapping[str, float]
     """Values of all the layout's parameters."""
@@ -45,6 +45,11 @@ class Reference:
 
 def make_reference(layout: Layout, num_vertices: int, seed: int = REFERENCE_SEED) -> Reference:
     """Triangulate the layout's mean design so that the sewn mesh has exactly `num_vertices` vertices.
+
+    Args:
+        layout: The layout.
+        num_vertices: Vertices of the sewn mesh.
+        seed: Of the triangulation.
 
     Raises:
         ValueError: where so few vertices cannot follow the layout's outlines.
@@ -68,7 +73,7 @@ def _share_vertices(
         inner = [interior_count(o.points, np.sqrt(3) / 4 * spacing**2) for o in outlines]
         missing = num_vertices - count_outline_vertices(layout, outlines) - sum(inner)
         if abs(missing) <= max(2, 0.02 * num_vertices):
-            # The rest is shared out evenly; the sampling of the outlines moves in whole edges and rarely fits.
+            # The rest is shared out evenly: the number of samples of an outline changes by whole edges and rarely fits.
             for k in range(abs(missing)):
                 inner[k % len(inner)] += int(np.sign(missing))
             if min(inner) >= 0:
@@ -139,14 +144,31 @@ def sew_pattern(
     points: Sequence[Float[np.ndarray, "_ 2"]],
     faces: Sequence[Int[np.ndarray, "_ 3"]],
 ) -> TriangulatedPattern:
-    """Sew panels and keep them; see `sew`."""
+    """Sew panels and keep them; see `sew`.
+
+    Args:
+        layout: The layout.
+        design: The design.
+        outlines: Samples of each panel's outline.
+        points: Points of each panel, metres; the outline's first.
+        faces: Triangles of each panel.
+    """
     return TriangulatedPattern(
         sew(layout, design, outlines, points, faces), tuple(outlines), tuple(points), tuple(faces)
     )
 
 
-def carry(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> TriangulatedPattern:
-    """Carry the layout's reference to a design."""
+def morph_reference(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> TriangulatedPattern:
+    """Move the layout's reference to the outlines of a design.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        num_vertices: Vertices of the reference.
+
+    Returns:
+        The same triangles on the design's panels.
+    """
     layout = space.layout
     reference = load_reference(layout, num_vertices)
     goal = space.layout_values(design)
@@ -179,7 +201,7 @@ def build_template(space: DesignSpace, design: Design, num_vertices: int = TEMPL
 
     Source: section "Parametric 3D Drape" and "Dataset and Implementation Details" of the paper.
     """
-    return carry(space, design, num_vertices).mesh
+    return morph_reference(space, design, num_vertices).mesh
 
 
 def tie_patterns(

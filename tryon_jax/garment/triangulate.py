@@ -61,7 +61,8 @@ def _scatter_inside(
     """Exactly `count` random points inside the outline, roughly `spacing` apart.
 
     A triangular grid, turned, shifted and jittered by so much that no direction of the grid is left: an unjittered
-    one settles into a lattice with a grain, which is too easy a topology. It costs a fifth of a dart throw.
+    one settles into a lattice with a grain, which is too easy a topology. It takes a fifth of the time of dart
+    throwing.
     """
     hull = Delaunay(outline)
     inside = _kept(outline, hull.simplices, len(outline))
@@ -203,7 +204,13 @@ def triangulate(
 
 
 def panel_fault(points: Float[np.ndarray, "N 2"], faces: Int[np.ndarray, "F 3"], num_outline: int) -> str:
-    """What is wrong with the triangulation of a panel, or "" when it is exact."""
+    """What is wrong with the triangulation of a panel, or "" when it is exact.
+
+    Args:
+        points: Of the panel, metres; the outline's first.
+        faces: Triangles.
+        num_outline: How many points are the outline's.
+    """
     count = len(points)
     if len(faces) != 2 * count - num_outline - 2:
         return f"{len(faces)} triangles in place of {2 * count - num_outline - 2}"

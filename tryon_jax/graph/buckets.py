@@ -1,4 +1,4 @@
-"""Few sizes that every graph is padded to, so that a garment of a new topology meets compiled code."""
+"""Few sizes that every graph is padded to, so that a garment of a new topology runs without compiling."""
 
 from collections.abc import Sequence
 

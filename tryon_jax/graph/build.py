@@ -129,7 +129,7 @@ def build_graph(
         if level + 1 < num_levels:
             coarse = coarsen(level_points, level_faces)
             down = down_matrix(coarse, pooling)
-            # Coarse features live where the down matrix puts them: at the means of the clusters, if it averages.
+            # Coarse features are located where the down matrix puts them: at the means of the clusters, if it averages.
             ups.append(up_matrix(level_points, down @ level_points, coarse.faces, coarse.cluster))
             downs.append(down)
             level_points, level_faces = level_points[coarse.kept], coarse.faces
@@ -159,7 +159,13 @@ def build_graph(
 
 
 def pad_rows(array: np.ndarray, size: int, dtype: np.dtype | type) -> np.ndarray:
-    """The array with zero rows added up to `size`."""
+    """The array with zero rows added up to `size`.
+
+    Args:
+        array: Rows.
+        size: Number of rows of the result, at least those of `array`.
+        dtype: Type of the result.
+    """
     padded = np.zeros((size, *array.shape[1:]), dtype)
     padded[: len(array)] = array
     return padded

@@ -231,12 +231,19 @@ def coarsen(
 ) -> CoarseMesh:
     """Collapse edges until `target` vertices are left (default ⌈n/2⌉), or none may collapse.
 
-    `length_weight` says how much short edges are preferred to flat places: the default is for hierarchies, 1 and more
-    spreads the vertices evenly.
-
     Open borders shrink only along themselves, components and holes are kept. Fewer collapses than asked happen
     where the mesh is already as coarse as its topology allows (a lone triangle keeps its three vertices), and
     vertices at edges with more than two faces or without any face stay.
+
+    Args:
+        vertices: Metres.
+        faces: Triangles.
+        target: Vertices to keep; ⌈n/2⌉ when None.
+        length_weight: How much short edges are preferred to flat places: the default is for hierarchies, 1 and more
+            spreads the vertices evenly.
+
+    Returns:
+        The coarse mesh, with the coarse vertex that each vertex was merged into.
     """
     n = len(vertices)
     target = math.ceil(n / 2) if target is None else target
@@ -273,9 +280,12 @@ def coarsen(
             break
         best = best[np.argsort(cost[best], kind="stable")]
         best = best[: max(64, int(_CHEAP_PART * len(best)))]
-        wish = np.full(n, -1)
-        wish[drop[best]] = keep[best]
-        ok = _link_ok(adjacency, drop[best], keep[best], num_faces[best]) & _shape_ok(points, faces, wish)[drop[best]]
+        merged_into = np.full(n, -1)
+        merged_into[drop[best]] = keep[best]
+        ok = (
+            _link_ok(adjacency, drop[best], keep[best], num_faces[best])
+            & _shape_ok(points, faces, merged_into)[drop[best]]
+        )
         # A refused pair is not asked again on this level unless nothing else is left.
         refused = best[~ok]
         banned = np.concatenate([banned, drop[refused] * n + keep[refused]])

@@ -142,9 +142,18 @@ def make_operator(
 ) -> SparseOperator:
     """Prepare a sparse matrix [m, n] for `apply_operator`, padded with zeros to `shape` (M, N); host side.
 
-    `slots` and `tail` = (rows, entries) are capacities: a matrix that does not fit gets larger ones, which is
-    correct but compiles anew. `transposed_slots` None says that the matrix is symmetric (checked); its diagonal
-    is then kept apart, as it is for other square matrices with `split_diagonal`.
+    `slots` and `tail` are capacities: a matrix that does not fit gets larger ones, which is correct but compiles anew.
+    The diagonal of a symmetric matrix is kept apart.
+
+    Args:
+        matrix: The sparse matrix [m, n].
+        shape: Size (M, N) of the result; that of the matrix when None.
+        slots: Entries of a row.
+        tail: Number of rows with more entries than `slots`, and how many more.
+        transposed_slots: The same as `slots` for the transpose; None says that the matrix is symmetric (checked).
+        transposed_tail: The same as `tail` for the transpose.
+        split_diagonal: Keep the diagonal of another square matrix apart too.
+        dtype: Of the values.
 
     Raises:
         ValueError: `shape` is smaller than the matrix, or the matrix was said to be symmetric and is not.
@@ -235,7 +244,8 @@ def _execute_on_cpu(*operands: Any) -> Array:
 
 
 def _execute_in_one(*operands: Any) -> Array:
-    """For devices on which a kernel's start costs more than its arithmetic: all rows read a tail, most one of zeros."""
+    """For devices on which starting a kernel costs more than its arithmetic: all rows read a tail, which is zeros for
+    most."""
     columns, weights, _, tail_columns, tail_weights, places = operands[:_NUM_LISTS]
     features = operands[-1]
     own_columns = tail_columns.at[:, places].get(mode="fill", fill_value=0)

@@ -31,6 +31,12 @@ def up_matrix(
     """[n, m]: barycentric weights of each fine vertex's closest point on the coarse mesh; rows sum to 1.
 
     Where a coarse mesh has no triangle (or none near: a vertex that no triangle uses), the vertex copies its cluster.
+
+    Args:
+        points: Fine vertices, metres.
+        coarse_points: Coarse vertices, metres.
+        coarse_faces: Coarse triangles.
+        cluster: The coarse vertex that each fine one was merged into.
     """
     n, m = len(points), len(coarse_points)
     if not len(coarse_faces):

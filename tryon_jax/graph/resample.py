@@ -59,7 +59,16 @@ def resample(
 def split_long_edges(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], longest: float
 ) -> tuple[Float[np.ndarray, "N 3"], Int[np.ndarray, "M 3"]]:
-    """Halve every edge longer than `longest` until none is left; the surface does not change."""
+    """Halve every edge longer than `longest` until none is left; the surface does not change.
+
+    Args:
+        vertices: Metres.
+        faces: Triangles.
+        longest: Length that no edge exceeds afterwards, metres.
+
+    Returns:
+        Vertices, the old ones first, and triangles.
+    """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     for _ in range(_MAX_SPLITS):
         count = len(points)

@@ -19,7 +19,7 @@ from tryon_jax.mesh.topology import border_edges
 from tryon_jax.types import ArrayLike, pytree
 
 _ERROR = 1e-5
-# Outside these bounds the mesh, not the surface, speaks: slivers would make the flow stiff.
+# Values outside these bounds come from the mesh and not from the surface: slivers would make the flow stiff.
 _WEIGHT_RANGE = (0.02, 4.0)
 _MIN_MASS = 0.2
 
@@ -94,7 +94,15 @@ def make_smoother(
     size: int | None = None,
     dtype: np.dtype | type = np.float32,
 ) -> HeatSmoother:
-    """Smoothing over `length` metres on a garment, padded to `size` vertices; host side."""
+    """Smoothing over `length` metres on a garment, padded to `size` vertices; host side.
+
+    Args:
+        vertices: Metres.
+        faces: Triangles.
+        length: Metres over which a detail is smoothed away.
+        size: Vertices with padding; no padding when None.
+        dtype: Of the matrices.
+    """
     n = len(vertices)
     size = n if size is None else size
     laplacian, bound = surface_laplacian(np.asarray(vertices, np.float64), np.asarray(faces, np.int64))

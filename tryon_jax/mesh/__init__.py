@@ -1,1 +1,1 @@
-"""Host-side triangle mesh processing in NumPy: topology, repair, quality. Knows nothing of JAX, bodies or garments."""
+"""Triangle meshes on the host, in NumPy: topology, repair, quality. Nothing here needs JAX, a body or a garment."""

@@ -87,7 +87,7 @@ class MeshSearch:
         weights: np.ndarray,
     ) -> None:
         """Take the closest triangle of the candidate parts of each row where it is closer than what is known."""
-        # No point of a part is closer than its centre less its reach: most candidates need no look.
+        # No point of a part is closer than its centre less its reach: most candidates are ruled out by that.
         row, column = np.nonzero(far - self._reach[candidates] < distance[rows, None])
         faces = self._part_of[candidates[row, column]]
         squared, v, w = (a[:, 0] for a in self._triangles.closest(points[rows[row]], faces[:, None]))

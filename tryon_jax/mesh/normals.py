@@ -5,7 +5,7 @@ from jaxtyping import Float, Int
 
 
 def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
-    """Unit normal of each vertex: the area-weighted mean of its faces; zero where no face meets."""
+    """Unit normal of each vertex: the area-weighted mean of its faces; zero where there is no face."""
     corners = np.asarray(vertices, np.float64)[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     total = np.stack([np.bincount(faces.ravel(), np.repeat(cross[:, k], 3), len(vertices)) for k in range(3)], axis=1)

@@ -1,4 +1,4 @@
-"""Where a plane cuts a triangle mesh, and how long a tape round the cut is (host side)."""
+"""Where a plane cuts a triangle mesh, and the length of a tape round the cut (host side)."""
 
 from dataclasses import dataclass
 

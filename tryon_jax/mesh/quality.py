@@ -1,4 +1,4 @@
-"""How good the triangles of a mesh are: areas, angles, distortion."""
+"""Quality of the triangles of a mesh: areas, angles, distortion."""
 
 from dataclasses import dataclass
 

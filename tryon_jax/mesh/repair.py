@@ -23,7 +23,7 @@ GUESSED = ("m", "cm", "mm")
 measure by, `tryon_jax.wear.intake` tells them too."""
 
 SIZE = (0.24, 2.4)
-"""Largest extent of a garment, metres: what lies outside is in another unit or no garment."""
+"""Largest extent of a garment, metres: anything else is in another unit, or is no garment."""
 
 FORMATS = (".obj", ".glb", ".gltf", ".ply")
 """Suffixes of files that can be read."""
@@ -202,6 +202,13 @@ def repair_mesh(
 ) -> LoadedGarment:
     """Make a clean mesh of triangles from anywhere; see `load_garment` for what is done and what is refused.
 
+    Args:
+        vertices: In the file's unit.
+        faces: Triangles.
+        uv: Texture coordinates of the vertices.
+        unit: Name of the unit (`mesh.units.UNITS`); "auto" finds one in which the mesh has the size of a garment.
+        name: What messages call the mesh.
+
     Raises:
         ValueError: as `load_garment`, and for arrays of other shapes, without triangles, or with indices out of range.
     """
@@ -222,7 +229,13 @@ def clean_mesh(
     uv: Float[np.ndarray, "V 2"] | None = None,
     name: str = "mesh",
 ) -> LoadedGarment:
-    """What `repair_mesh` does in any unit of length: all of it but the unit and the look for holes.
+    """What `repair_mesh` does in any unit of length: everything but the unit and the search for holes.
+
+    Args:
+        vertices: In any unit.
+        faces: Triangles.
+        uv: Texture coordinates of the vertices.
+        name: What messages call the mesh.
 
     Raises:
         ValueError: arrays of other shapes or with indices out of range, coordinates that are not finite, no triangles,
@@ -294,7 +307,7 @@ def _weld(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> tuple[
 
 
 def _worthwhile(vertices: np.ndarray, faces: np.ndarray, repairs: list[str]) -> np.ndarray:
-    """Faces with three different corners, area, and no twin."""
+    """Faces with three different corners and an area, each once."""
     flat = areas(vertices, faces) <= 1e-12 * float(np.ptp(vertices, axis=0).max()) ** 2
     flat |= (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     rows = np.sort(faces, axis=1)

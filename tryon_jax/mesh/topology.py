@@ -1,4 +1,4 @@
-"""Who touches whom in a triangle mesh: edges, borders, loops, components, manifoldness."""
+"""Connectivity of a triangle mesh: edges, borders, loops, components, manifoldness."""
 
 from dataclasses import dataclass
 

@@ -32,7 +32,13 @@ def vertex_distances(
 def angle_between_normals(
     first: Float[np.ndarray, "V 3"], second: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, " V"]:
-    """Angle between the two drapes' unit normals at each vertex, radians."""
+    """Angle between the two drapes' unit normals at each vertex, radians.
+
+    Args:
+        first: One drape, metres.
+        second: Another drape of the same mesh, metres.
+        faces: Triangles.
+    """
     one, other = (vertex_normals(np.asarray(x), faces) for x in (first, second))
     # The arc cosine loses half of the digits near zero; the chord does not.
     return 2.0 * np.arcsin(np.clip(0.5 * np.linalg.norm(one - other, axis=1), 0.0, 1.0))
@@ -42,6 +48,11 @@ def sample_surface(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], spacing: float = SPACING
 ) -> SurfaceSamples:
     """A regular barycentric grid on every face, at most `spacing` metres between neighbours, no randomness.
+
+    Args:
+        vertices: Metres.
+        faces: Triangles.
+        spacing: Largest distance between neighbouring samples, metres.
 
     Raises:
         ValueError: the spacing is not positive, a vertex is not finite, or a face is so large that it would need
@@ -70,7 +81,13 @@ def _grid(count: int) -> Float[np.ndarray, "S 3"]:
 def directed_distances(
     points: Float[np.ndarray, "P 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, " P"]:
-    """Distance of each point from a surface, metres, exact."""
+    """Distance of each point from a surface, metres, exact.
+
+    Args:
+        points: Metres.
+        vertices: Of the surface, metres.
+        faces: Triangles of the surface.
+    """
     return MeshSearch(check_finite("vertices", vertices), faces).closest(points).distance
 
 
@@ -84,6 +101,13 @@ def hausdorff_distance(
     """Symmetric Hausdorff distance between two surfaces, metres, by dense sampling of both (Cignoni et al. 1998).
 
     The meshes need nothing in common. It is the largest distance of any sample of either surface from the other one.
+
+    Args:
+        first: Vertices of one surface, metres.
+        first_faces: Its triangles.
+        second: Vertices of the other surface, metres.
+        second_faces: Its triangles.
+        spacing: Largest distance between neighbouring samples, metres.
     """
     there = _farthest(sample_surface(first, first_faces, spacing), MeshSearch(second, second_faces))
     return max(there, _farthest(sample_surface(second, second_faces, spacing), MeshSearch(first, first_faces)))

@@ -29,5 +29,12 @@ def area_strain(
     rest: Float[np.ndarray, "U D"],
     rest_faces: Int[np.ndarray, "F 3"],
 ) -> Float[np.ndarray, " F"]:
-    """Area over rest area minus 1 of each face; arguments as for `edge_strain`."""
+    """Area over rest area minus 1 of each face; arguments as for `edge_strain`.
+
+    Args:
+        vertices: The drape, metres.
+        faces: Its triangles.
+        rest: Rest positions: UV in metres, or another drape.
+        rest_faces: The same triangles as indices into `rest` (`faces_uv` for UV).
+    """
     return areas(vertices, faces) / areas(rest, rest_faces) - 1.0

@@ -1,4 +1,4 @@
-"""Wrinkles in numbers: size of what smoothing takes away, how it goes with the body, and how sharply cloth folds."""
+"""Measures of wrinkles: size of what smoothing removes, how it varies with the body, and curvature."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _smooth = jax.jit(smooth)
 
 
 def fine_part(smoother: HeatSmoother, drapes: Float[np.ndarray, "S N 3"]) -> Float[np.ndarray, "S N 3"]:
-    """X − smooth(X) of drapes padded to the smoother's size, metres: what R_fine is there for."""
+    """X − smooth(X) of drapes padded to the smoother's size, metres: what R_fine has to add."""
     columns = jnp.moveaxis(jnp.asarray(drapes), 0, 1)
     return np.asarray(drapes) - np.moveaxis(np.asarray(_smooth(smoother, columns)), 1, 0)
 

@@ -17,7 +17,15 @@ class ChebConv:
 
 
 def init_cheb_conv(key: PRNGKeyArray, order: int, inputs: int, outputs: int, scale: float = 1.0) -> ChebConv:
-    """He initialisation over all K · inputs incoming features, times `scale`; zero bias."""
+    """He initialisation over all K · inputs incoming features, times `scale`; zero bias.
+
+    Args:
+        key: Random key.
+        order: Number K of Chebyshev polynomials.
+        inputs: Features of a node that come in.
+        outputs: Features of a node that go out.
+        scale: Factor of the weights.
+    """
     deviation = scale * (2.0 / (order * inputs)) ** 0.5
     return ChebConv(deviation * jax.random.normal(key, (order, inputs, outputs)), jnp.zeros(outputs))
 
@@ -27,6 +35,11 @@ def cheb_conv(params: ChebConv, laplacian: SparseOperator, features: Float[Array
 
     The polynomial is evaluated on the narrower side: on the inputs by the three-term recursion, or, where the
     outputs are no wider, on the products x W_k by Clenshaw's recursion. Both are the same sum.
+
+    Args:
+        params: Weights.
+        laplacian: Rescaled Laplacian L̃ [N, N] with eigenvalues in [−1, 1].
+        features: Of nodes.
     """
     order, inputs, outputs = params.weight.shape
     weight = jnp.asarray(params.weight, features.dtype)

@@ -1,4 +1,4 @@
-"""Sizes and conventions of a whole try-on model, by name or by hand."""
+"""Sizes and conventions of a try-on model: those with a name, or one's own."""
 
 from dataclasses import dataclass, replace
 from typing import Literal

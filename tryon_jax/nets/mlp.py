@@ -60,7 +60,16 @@ def init_mean_drape(
     template_scale: float = 0.1,
     hidden: int = 10,
 ) -> MeanDrape:
-    """Random R_mean of the paper's size: P → 10 → 3 · 403."""
+    """Random R_mean of the paper's size: P → 10 → 3 · 403.
+
+    Args:
+        key: Random key.
+        design_center: Design that the network sees as zero, metres.
+        design_scale: Half range of each parameter, metres.
+        template_center: Template positions that an output of zero means, metres.
+        template_scale: Metres that an output of one means.
+        hidden: Hidden units.
+    """
     outputs = int(jnp.size(template_center))
     mlp = init_mlp(key, (len(design_center), hidden, outputs))
     return MeanDrape(

@@ -55,6 +55,12 @@ def save_store(path: str | Path, tree: Any, record: Mapping[str, Any], half: boo
 
     `half` stores the networks' float32 weights as float16; they are read back as float32. Biases, scales and positions
     keep their precision.
+
+    Args:
+        path: File to write.
+        tree: Arrays.
+        record: Plain JSON values.
+        half: Store the networks' weights in half precision.
     """
     arrays = {name: np.asarray(leaf, order="C") for name, leaf in tree_names(tree).items()}
     if half:
@@ -94,6 +100,11 @@ def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: boo
     With `any_precision`, arrays in single precision are taken where double is expected and the other way round, and
     stay as they are stored: what JAX expects depends on `jax_enable_x64`, what a file holds does not.
 
+    Args:
+        path: File to read.
+        expected: Shape and dtype of each array by name.
+        any_precision: Whether single and double precision may stand for each other.
+
     Raises:
         ValueError: an array is missing, superfluous, not finite, or of another shape or type; the first are listed.
     """
@@ -120,7 +131,13 @@ def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: boo
 
 
 def compare_records(found: Mapping[str, Any], wanted: Mapping[str, Any], where: str = "") -> list[str]:
-    """Which fields differ between two records, each as "field: found, not wanted"."""
+    """Which fields differ between two records, each as "field: found, not wanted".
+
+    Args:
+        found: One record.
+        wanted: The other one.
+        where: Name of the field that both records are the value of.
+    """
     faults = []
     for key in wanted:
         if isinstance(wanted[key], Mapping) and isinstance(found.get(key), Mapping):

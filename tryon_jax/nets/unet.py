@@ -76,7 +76,14 @@ class UNet:
 
 
 def init_unet(key: PRNGKeyArray, config: UNetConfig, inputs: int, outputs: int = 3) -> UNet:
-    """Random parameters; the head starts small, so that an untrained network predicts next to nothing."""
+    """Random parameters; the head starts small, so that an untrained network predicts next to nothing.
+
+    Args:
+        key: Random key.
+        config: Widths and convolutions.
+        inputs: Features of a node that come in.
+        outputs: Features of a node that go out.
+    """
     count = len(config.widths) * (config.encoder_convs + config.decoder_convs) + 1
     keys = iter(jax.random.split(key, count))
 
@@ -96,6 +103,11 @@ def apply_unet(params: UNet, levels: tuple[GraphLevel, ...], features: Float[Arr
     """Outputs at each node for B samples of one garment; padded nodes hold arbitrary values and influence none.
 
     `levels` may hold more resolutions than the network uses. Map over garments with `jax.vmap`.
+
+    Args:
+        params: Weights.
+        levels: Resolutions of the graph, the finest first; there may be more than the network uses.
+        features: Of the finest nodes.
     """
     config = params.config
     depth = len(config.widths)

@@ -1,8 +1,8 @@
 """Many garments at once: drapes of one size bucket, settled side by side by one mapped solve.
 
 On a GPU one garment leaves most of the device idle; a hundred take little longer than one. On a CPU nothing is gained:
-there, run several processes. Each lane takes the same steps as alone, so that a sample does not depend on its company;
-a lane that has come to rest waits, unchanged, for the others.
+there, run several processes. Each lane takes the same steps as alone, so that a sample does not depend on the others in
+its batch; a lane that has come to rest waits, unchanged, for the others.
 """
 
 from collections.abc import Iterator, Sequence
@@ -79,9 +79,12 @@ def solve_many(
     """`solver.solve` for B garments, none of them pinned.
 
     Args:
-        states: stacked, as `cloths` and `fabrics` are.
+        states: of the garments, stacked.
+        cloths: their rest states, stacked.
+        fabrics: their materials, stacked.
         surface: topology of the body that all lanes share.
         bodies: vertices of each lane's body, metres.
+        settings: of the solver.
         motions: how far each body has moved since the last step, metres.
         tolerance: residual at which a lane stops.
         max_steps: of each lane; a lane with none is handed back as it is.
@@ -139,6 +142,16 @@ def dress_many(
 
     A lane that diverges comes back with a residual that is not finite; the others are unharmed.
 
+    Args:
+        starts: Starting positions of each garment, metres.
+        cloths: Rest state of each.
+        fabrics: Material of each.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        betas: Of the body's shape, standard deviations.
+        max_steps: Steps at most.
+
     Raises:
         ValueError: the cloths are of different buckets.
     """
@@ -172,6 +185,17 @@ def relax_many(
 
     A lane that diverges comes back with a residual that is not finite; the others are unharmed.
 
+    Args:
+        starts: Starting positions of each garment, metres.
+        slips: Elastic slip of each vertex on the body, metres.
+        betas: Body shape of each garment, standard deviations.
+        cloths: Rest state of each.
+        fabrics: Material of each.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        max_steps: Steps at most.
+
     Raises:
         ValueError: The cloths are of different buckets.
     """
@@ -196,6 +220,15 @@ def sweep_many(
     """`dressing.sweep` for garments of one bucket, each along its own ray; yields all lanes at each shape.
 
     A lane that diverges comes back with a residual that is not finite; the others are unharmed.
+
+    Args:
+        drapes: Where each garment starts.
+        rays: Body shapes along the ray of each garment, standard deviations.
+        cloths: Rest state of each.
+        fabrics: Material of each.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
 
     Raises:
         ValueError: the cloths are of different buckets.

@@ -36,7 +36,13 @@ def dihedral_angles(x: Float[Array, "V 3"], cloth: Cloth) -> tuple[Float[Array, 
 
 
 def hinge_stiffness(theta: Float[Array, " H"], cloth: Cloth, fabric: Fabric) -> Float[Array, " H"]:
-    """k_e, N·m: bilinear in grain angle and curvature, the softer of the hinge's two sides."""
+    """k_e, N·m: bilinear in grain angle and curvature, the softer of the hinge's two sides.
+
+    Args:
+        theta: Angle at each hinge, radians.
+        cloth: Rest state.
+        fabric: Material.
+    """
     # The cell is clamped, not the value in it: at the end of the table the last entry counts whole.
     columns, rows = fabric.bending.shape[1] - 1, fabric.bending.shape[0] - 1
     curvature = jnp.clip(jnp.abs(theta) * cloth.hinge_curvature / CURVATURE_STEP, 0.0, columns)
@@ -52,14 +58,26 @@ def hinge_stiffness(theta: Float[Array, " H"], cloth: Cloth, fabric: Fabric) -> 
 
 
 def bending_energy(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, ""]:
-    """k_e l² θ² / (8 (A0 + A1)) over all hinges, joules, flat at rest; the stiffness is a constant to derivatives."""
+    """k_e l² θ² / (8 (A0 + A1)) over all hinges, joules, flat at rest; the stiffness is a constant to derivatives.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+    """
     theta, _ = dihedral_angles(x, cloth)
     k = jax.lax.stop_gradient(hinge_stiffness(theta, cloth, fabric))
     return 0.5 * (k * cloth.hinge_shape * theta * theta).sum()
 
 
 def bending_force(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, "V 3"]:
-    """Force on each vertex, newtons."""
+    """Force on each vertex, newtons.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+    """
     theta, gradient = dihedral_angles(x, cloth)
     moment = hinge_stiffness(theta, cloth, fabric) * cloth.hinge_shape * theta
     return jnp.zeros_like(x).at[cloth.hinges].add(-moment[:, None, None] * gradient)

@@ -16,7 +16,7 @@ from tryon_jax.types import Scalar, pytree
 
 SLIDING = 0.5
 """Share of the tangential stiffness that a sliding vertex keeps in the matrix. The true tangent of sliding is zero, but
-a vertex that turns back meets the full spring: with a tenth the solver cycles between the two for ever."""
+a vertex that turns back is held by the full spring: with a tenth the solver alternates between the two for ever."""
 
 
 @pytree
@@ -53,7 +53,13 @@ def sample_points(x: Float[Array, "V 3"], cloth: Cloth) -> Float[Array, "S 3"]:
 def pressure(
     approach: Float[Array, " S"], thickness: Float[Array, ""], law: ContactLaw
 ) -> tuple[Float[Array, " S"], Float[Array, " S"]]:
-    """Pressure (Pa) and its slope (Pa/m) for an approach of `thickness − distance`; linear beyond the skin."""
+    """Pressure (Pa) and its slope (Pa/m) for an approach of `thickness − distance`; linear beyond the skin.
+
+    Args:
+        approach: Thickness minus distance of each sample, metres.
+        thickness: Of the cloth's contact layer, metres.
+        law: Constants of contact.
+    """
     depth = jnp.maximum(approach, 0.0)
     inside = jnp.minimum(depth / thickness, 1.0)
     slope = (law.soft + law.hard * inside * inside) * (approach > 0)
@@ -61,7 +67,7 @@ def pressure(
     return jnp.asarray(value), jnp.asarray(slope)
 
 
-def body_contact(
+def contact_forces(
     x: Float[Array, "V 3"],
     face: Int[Array, " S"],
     cloth: Cloth,
@@ -72,7 +78,15 @@ def body_contact(
 ) -> Contact:
     """Contact forces at `x`, following each sample's closest body face from its last one.
 
-    `margin` (metres) reads the stiffness that much deeper: a tangent that foresees the hardening does not overshoot.
+    Args:
+        x: Vertices, metres.
+        face: The body face that each sample was closest to last.
+        cloth: Rest state.
+        fabric: Material.
+        surface: The body.
+        law: Constants of contact.
+        margin: The stiffness is that of a contact so much deeper, metres, so that Newton's steps do not overshoot the
+            hardening.
     """
     points = sample_points(x, cloth)
     point = point_on_faces(surface, points, follow_faces(surface, points, face))
@@ -112,8 +126,16 @@ def friction(
 
     Unlike friction as a function of velocity it has true static equilibria: cloth at rest does not creep.
 
-    Returns the slip carried on (projected and capped, metres), the tangential stiffness (N/m) for the solver, and the
-    projection onto each vertex's tangent plane. The friction force is −tangential · area · slip.
+    Args:
+        slip: Elastic slip of each vertex, metres.
+        contact: From `contact_forces`.
+        cloth: Rest state.
+        fabric: Material.
+        law: Constants of contact.
+
+    Returns:
+        The slip after the step (projected and capped, metres), the tangential stiffness of each vertex (N/m) for the
+        solver, and the projection onto each vertex's tangent plane. The friction force is −tangential · area · slip.
     """
     count = cloth.vertex_areas.shape[0]
     n = contact.point.normal[:count]

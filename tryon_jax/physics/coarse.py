@@ -1,7 +1,7 @@
-"""The coarse half of the linear solver's preconditioner: the cloth as a few stiff patches that can only move.
+"""The coarse half of the linear solver's preconditioner: the cloth as a few rigid patches that can only translate.
 
 The diagonal blocks alone leave the smooth stretching of whole panels to many iterations. Galerkin's coarse matrix on
-patches of neighbouring vertices, inverted once, takes it away (a two-level additive Schwarz method). It is a
+patches of neighbouring vertices, inverted once, removes it (a two-level additive Schwarz method). It is a
 preconditioner: a matrix of some steps ago serves as well.
 """
 
@@ -24,7 +24,13 @@ class CoarseInverse:
 
 
 def invert_coarse(blocks: Float[Array, "V K 3 3"], neighbours: Int[Array, "V K"], patches: Patches) -> CoarseInverse:
-    """Galerkin's matrix of the patches' translations, inverted."""
+    """Galerkin's matrix of the patches' translations, inverted.
+
+    Args:
+        blocks: Blocks of the system's matrix, N/m.
+        neighbours: The vertex of each block's column.
+        patches: Which vertices move together.
+    """
     patch = jnp.asarray(patches.patch)
     count, one_more = len(patches.members), len(patches.members) + 1
     pairs = patch[:, None] * one_more + patch[neighbours]
@@ -38,7 +44,7 @@ def invert_coarse(blocks: Float[Array, "V K 3 3"], neighbours: Int[Array, "V K"]
 
 
 def coarse_correction(coarse: CoarseInverse, residual: Float[Array, "3 V"]) -> Float[Array, "3 V"]:
-    """What the patches, moved as wholes, would take from the residual."""
+    """The correction of the residual by translations of the patches."""
     inverse = coarse.inverse
     count = inverse.shape[1]
     members, patch = jnp.asarray(coarse.patches.members), jnp.asarray(coarse.patches.patch)

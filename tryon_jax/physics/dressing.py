@@ -1,4 +1,5 @@
-"""Putting a garment on a body and following the body's shape, each to equilibrium. Host side, around the jitted solver.
+"""Dressing a body with a garment, and following the body's shape, each to equilibrium. Host side, around the jitted
+solver.
 
 Friction makes a drape depend on its path by millimetres, so every shape is reached along a straight ray of betas from
 the mean body outwards: the result is then a function of the shape, not of the order in which shapes were visited.
@@ -72,7 +73,7 @@ class Obstacle:
 
 @dataclass(frozen=True, eq=False)
 class Drape:
-    """A garment at rest (or as near as the solver got) on one body shape."""
+    """A garment at rest, or as close to rest as the solver came, on one body shape."""
 
     state: ClothState
     betas: Float[np.ndarray, " b"]
@@ -108,6 +109,12 @@ def dress(
 
     Args:
         start: positions of the welded vertices, metres (`tryon_jax.garment.placement`).
+        cloth: rest state.
+        fabric: material.
+        obstacle: the body.
+        settings: of the solver.
+        equilibrium: when a drape counts as at rest.
+        betas: of the body's shape, standard deviations.
         max_steps: steps in all.
         self_contact: keeps the cloth from passing through itself; None leaves it out (see `physics.self_contact`).
 
@@ -171,7 +178,17 @@ def follow(
     equilibrium: Equilibrium,
     self_contact: SelfContact | None = None,
 ) -> Drape:
-    """Carry a drape to another body shape nearby and let it come to rest.
+    """Move a drape to a similar body shape and bring it to rest.
+
+    Args:
+        drape: Where to start.
+        betas: Of the other body shape, standard deviations.
+        cloth: Rest state.
+        fabric: Material.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        self_contact: Contact of the cloth with itself; None leaves it out.
 
     Raises:
         Diverged: positions or forces became infinite.
@@ -193,7 +210,21 @@ def sweep(
     equilibrium: Equilibrium,
     self_contact: SelfContact | None = None,
 ) -> Iterator[Drape]:
-    """Drapes along a ray of betas, in its order, each from the one before."""
+    """Drapes along a ray of betas, in its order, each from the one before.
+
+    Args:
+        drape: Where to start.
+        ray: Body shapes in order, standard deviations.
+        cloth: Rest state.
+        fabric: Material.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest.
+        self_contact: Contact of the cloth with itself; None leaves it out.
+
+    Raises:
+        Diverged: Positions or forces became infinite.
+    """
     for betas in ray:
         drape = follow(drape, betas, cloth, fabric, obstacle, settings, equilibrium, self_contact)
         yield drape
@@ -202,7 +233,14 @@ def sweep(
 def start_state(
     start: Float[np.ndarray, "_ 3"], cloth: Cloth, surface: Surface, slip: Float[np.ndarray, "_ 3"] | None = None
 ) -> ClothState:
-    """A cloth without velocity at `start` (metres, without padding), its padding far away; no `slip` by default."""
+    """A cloth without velocity at `start` (metres, without padding), its padding far away; no `slip` by default.
+
+    Args:
+        start: Positions without padding, metres.
+        cloth: Rest state.
+        surface: The body.
+        slip: Elastic slip of each vertex on the body, metres; none when None.
+    """
     x = np.full((cloth.vertex_areas.shape[0], 3), FAR_AWAY, np.float32)
     x[: len(start)] = start
     state = resting(jnp.asarray(x), _faces(surface, jnp.asarray(x), cloth))
@@ -274,7 +312,7 @@ def _settle(
         state, report = _solve(state, cloth, fabric.unnamed, drape.surface, settings, motion, free, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
-        # The linear solver stands still on NaN: positions may stay finite where forces are not.
+        # The linear solver stops at NaN: positions may stay finite where forces are not.
         if not (np.isfinite(np.asarray(state.x)).all() and np.isfinite(float(report.residual))):
             where = f"fabric {fabric.name!r}, {drape.num_vertices} vertices, betas {drape.betas.tolist()}"
             raise Diverged(f"the drape diverged after {steps} steps: {where}")

@@ -1,6 +1,6 @@
 """The body that cloth collides with: mittens instead of fingers, feet without toes.
 
-Cloth at the resolution of a garment cannot rest on a thumb or a toe: they come through cuffs and hems. Hands are cut
+Cloth at the resolution of a garment cannot rest on a thumb or a toe: they pass through cuffs and hems. Hands are cut
 off at the wrist and replaced by a closed tube that encloses them, feet are smoothed. Everything else is the skin.
 """
 

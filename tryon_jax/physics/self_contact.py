@@ -1,4 +1,4 @@
-"""Cloth against itself: vertices are held off the triangles of other parts of the cloth.
+"""Contact of the cloth with itself: vertices keep a distance from triangles of other parts of the cloth.
 
 Off unless asked for: T-shirts and dresses on a body in T-pose hardly ever touch themselves, and samples are counted for
 self-intersections anyway. The host finds candidate pairs from time to time and remembers on which side of its
@@ -21,7 +21,8 @@ from tryon_jax.physics.body_contact import ContactLaw, pressure
 from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 
 EDGE_MARGIN = 0.5
-"""How far beyond a triangle's border, in thicknesses, a vertex still feels it: the corners of a fold stay closed."""
+"""How far beyond a triangle's border, in thicknesses, it still acts on a vertex, so that the corners of a fold stay
+closed."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,13 @@ def self_contact(
     Pressure follows the same hardening law as on the body. A pair couples four vertices that share no edge; their
     matrix is bounded by its diagonal (w wᵀ ≤ diag(|w| Σ|w|) for the weights w = (1, −barycentric)), so that the
     sparsity of the system stays that of the mesh.
+
+    Args:
+        x: Vertices, metres.
+        pairs: Vertices and faces near each other.
+        vertex_areas: Rest area of each vertex, m².
+        law: Constants of contact.
+        margin: The stiffness is read so much deeper, metres.
     """
     corners = x[pairs.triangle]
     point = x[pairs.vertex]

@@ -16,7 +16,7 @@ from tryon_jax.physics.bending import dihedral_angles, hinge_hessian, hinge_stif
 from tryon_jax.physics.body_contact import (
     Contact,
     ContactLaw,
-    body_contact,
+    contact_forces,
     friction,
     normal_gradient,
     normal_hessian,
@@ -32,12 +32,12 @@ from tryon_jax.types import EXACT, ArrayLike, Scalar, pytree
 GRAVITY = 9.81
 """m/s², along −y."""
 COARSE_STEPS = 10
-"""Steps for which a coarse correction serves: less than cloth needs to turn away from it."""
+"""Steps for which one coarse correction is used; the cloth changes little meanwhile."""
 
 
 @pytree
 class SolverSettings:
-    """Numbers that steer the solver; changing them compiles nothing."""
+    """Parameters of the solver; changing them compiles nothing."""
 
     time_step: Scalar = 1 / 30
     """Seconds."""
@@ -64,7 +64,7 @@ class ClothState:
     x: Float[Array, "V 3"]
     """Positions, metres, to the precision of their type."""
     remainder: Float[Array, "V 3"]
-    """What that precision cuts off, metres: the cloth is at `x + remainder`. Without it, single precision moves the
+    """What single precision cuts off, metres: the cloth is at `x + remainder`. Without it, single precision moves the
     corners of stiff cloth by forces that are larger than the tolerance, and no step brings it to rest."""
     velocity: Float[Array, "V 3"]
     slip: Float[Array, "V 3"]
@@ -100,6 +100,12 @@ def internal_forces(
     """Gradient of stretch and bending (newtons) and their element stiffness blocks (N/m).
 
     Bending is computed at `x`; stretch, which is stiffer by far, at `x + remainder`.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+        remainder: What rounding took from `x`, metres; nothing when None.
     """
     gradients = deformation_gradients(x, cloth, remainder)
     strain = green_strain(gradients)
@@ -141,7 +147,7 @@ def _assemble(
     mass = cloth.vertex_areas * jnp.asarray(fabric.density, dtype)
 
     gradient, face_blocks, hinge_blocks = internal_forces(state.x, cloth, fabric, state.remainder)
-    contact = body_contact(state.x, state.face, cloth, fabric, surface, settings.law, settings.contact_margin)
+    contact = contact_forces(state.x, state.face, cloth, fabric, surface, settings.law, settings.contact_margin)
     slip, grip, tangent = friction(state.slip, contact, cloth, fabric, settings.law)
     at_vertices, at_faces = normal_hessian(contact, cloth)
 
@@ -184,10 +190,15 @@ def step(
     """One implicit step.
 
     Args:
+        state: positions and velocities before the step.
+        cloth: rest state.
+        fabric: material.
+        surface: the body.
+        settings: of the step.
         surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
         pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
-        pairs: parts of the cloth that must not pass through each other (none: cloth does not feel itself).
-        coarse: helps the linear solver.
+        pairs: parts of the cloth that must not pass through each other; None leaves self-contact out.
+        coarse: coarse half of the preconditioner; None leaves it out.
     """
     dtype = state.x.dtype
     system = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
@@ -252,7 +263,22 @@ def solve(
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
     The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps.
-    `surface_motion` applies to the first step only: repeated, it would carry the cloth like a conveyor belt.
+    `surface_motion` applies to the first step only: the body has moved once.
+
+    Args:
+        state: Where to start.
+        cloth: Rest state.
+        fabric: Material.
+        surface: The body.
+        settings: Of the steps.
+        surface_motion: Motion of the body's vertices in the first step, metres; later steps have none.
+        pinned: Stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        tolerance: Residual at which to stop: net force over weight plus contact load.
+        max_steps: Steps at most.
+        pairs: Vertices and faces of the cloth near each other; None leaves self-contact out.
+
+    Returns:
+        The last state, and the report of its step.
     """
     zero = jnp.zeros((), jnp.int32)
     unknown = jnp.asarray(jnp.inf, state.x.dtype)

@@ -17,7 +17,7 @@ from tryon_jax.types import EXACT, ArrayLike
 FLOOR = 2.0
 """N/m. Smallest axial and shear stiffness that the tangent assumes: clipped table entries would make it singular."""
 MAX_TENSION = 300.0
-"""N/m. Cloth that pulls harder than this over a twentieth of its area could not be pulled over the body."""
+"""N/m. Largest tension: a garment with more over a twentieth of its area could not be put on."""
 MAX_STIFFENING = 20.0
 """Cap on how much stiffer than the secant the tangent may be: it is unbounded where principal strains coincide."""
 
@@ -118,6 +118,11 @@ def stretch_energy(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Floa
     """Stored energy, joules, whose negative gradient is `stretch_force`.
 
     The stiffness is a constant to differentiation, so that the gradient is the secant force of the measured model.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
     """
     strain = green_strain(deformation_gradients(x, cloth))
     k = jax.lax.stop_gradient(stiffness(strain, fabric))
@@ -125,14 +130,26 @@ def stretch_energy(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Floa
 
 
 def stretch_force(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[Array, "V 3"]:
-    """Force on each vertex, newtons: −A F S B per face."""
+    """Force on each vertex, newtons: −A F S B per face.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+    """
     gradients = deformation_gradients(x, cloth)
     s = stress(green_strain(gradients), fabric)
     return jnp.zeros_like(x).at[cloth.faces].add(-face_gradient(gradients, s, cloth))
 
 
 def face_gradient(gradients: Float[Array, "F 3 2"], s: Float[Array, "F 3"], cloth: Cloth) -> Float[Array, "F 3 3"]:
-    """Gradient of the energy at the corners of each face, newtons."""
+    """Gradient of the energy at the corners of each face, newtons.
+
+    Args:
+        gradients: Deformation gradient of each face.
+        s: Second Piola-Kirchhoff stress of each face (uu, vv, uv), N/m.
+        cloth: Rest state.
+    """
     u, v = gradients[..., 0], gradients[..., 1]
     first = u * s[:, None, 0] + v * s[:, None, 2]
     second = u * s[:, None, 2] + v * s[:, None, 1]
@@ -148,6 +165,13 @@ def face_hessian(
     The true tangent dS/dG is neither symmetric nor definite; freezing k instead underestimates it and lets the solver
     cycle for ever. Its symmetric part, scaled by the secant's diagonal, is bounded from above by the diagonal of its
     absolute row sums (Gershgorin), which converges. The geometric part keeps the tensile eigenvalues of the stress.
+
+    Args:
+        gradients: Deformation gradient of each face.
+        strain: Green strain of each face (uu, vv, uv).
+        s: Second Piola-Kirchhoff stress of each face (uu, vv, uv), N/m.
+        cloth: Rest state.
+        fabric: Material.
     """
     k, slope = stiffness_and_slope(strain, fabric)
     diagonal = jnp.maximum(jnp.stack([k[:, 0], k[:, 2], 0.5 * k[:, 3]], axis=-1), FLOOR)

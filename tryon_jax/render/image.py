@@ -46,7 +46,14 @@ def save_image(path: str | Path, image: "Image.Image") -> None:
 
 
 def write_words(image: "Image.Image", text: str, center: tuple[float, float], size: float) -> None:
-    """Write one line of text, centred."""
+    """Write one line of text, centred.
+
+    Args:
+        image: The picture, which is changed.
+        text: One line.
+        center: Its middle (column, row), pixels.
+        size: Height of the letters, pixels.
+    """
     from PIL import ImageDraw, ImageFont
 
     ImageDraw.Draw(image).text(center, text, fill=_INK, font=ImageFont.load_default(size), anchor="mm")

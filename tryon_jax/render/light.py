@@ -48,7 +48,14 @@ class DepthMap:
         direction: Float[np.ndarray, "3"],
         resolution: int,
     ) -> "DepthMap":
-        """Rasterise the scene as seen from far away in `direction` (a unit vector towards the light)."""
+        """Rasterise the scene as seen from far away in `direction` (a unit vector towards the light).
+
+        Args:
+            vertices: Of the scene, metres.
+            faces: Triangles.
+            direction: Unit vector towards the light.
+            resolution: Pixels along each side.
+        """
         axes = frame_along(direction) * np.array([[1.0], [1.0], [-1.0]])
         local = axes @ vertices.T
         low, high = local.min(axis=1), local.max(axis=1)
@@ -97,8 +104,16 @@ def sky_light(
 ) -> Float[np.ndarray, " N"]:
     """Light from the sky on `points`, about 1 on a level surface under the open sky.
 
-    The sky is a bright ceiling, softer walls, and the light that a pale floor throws back. The scene's own triangles
-    stand in the way.
+    The sky is bright above, darker at the sides, and pale below, as light reflected by a floor. The scene's own
+    triangles shade it.
+
+    Args:
+        vertices: Of the scene, metres.
+        faces: Triangles.
+        points: Where the light is asked for, metres.
+        normals: Unit normal at each point.
+        directions: Number of directions that are sampled.
+        resolution: Pixels along each side of a depth map.
     """
     fraction, angle = spiral(directions)
     y = 1 - 2 * fraction
@@ -134,7 +149,16 @@ class Lamp:
         samples: int,
         resolution: int = 512,
     ) -> "Lamp":
-        """Light the scene from `direction`; `radius` is the lamp's half-angle in radians."""
+        """Light the scene from `direction`; `radius` is the lamp's half-angle in radians.
+
+        Args:
+            vertices: Of the scene, metres.
+            faces: Triangles.
+            direction: Unit vector towards the lamp.
+            radius: Half the angle that the lamp covers, radians.
+            samples: Points of the lamp that are sampled.
+            resolution: Pixels along each side of a depth map.
+        """
         fraction, angle = spiral(samples)
         disc = radius * np.sqrt(fraction)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rays = direction + disc @ frame_along(direction)[:2]

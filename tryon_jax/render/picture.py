@@ -85,8 +85,16 @@ def draw(
 ) -> Float[np.ndarray, "H W 3"]:
     """sRGB picture in 0 to 1 as an array; see `render_picture`.
 
-    `focus` are points that the picture is framed by in place of those that `crop` names, so that several pictures can
-    have one scale.
+    Args:
+        body: Vertices in metres and triangles.
+        garment: The same of the garment.
+        views: Names of `camera.VIEWS`, or degrees about the vertical.
+        height: Pixels.
+        body_colors: One sRGB colour, or one for each vertex, 0 to 1.
+        garment_colors: The same for the garment.
+        crop: What fills the picture: "body" or "garment".
+        focus: Points, metres, that the picture is framed by in place of those that `crop` names, so that several
+            pictures can have one scale.
     """
     if not views:
         raise ValueError("views must name at least one view")
@@ -110,7 +118,13 @@ def check_height(height: int) -> None:
 
 
 def focus_points(body: Mesh, garment: Mesh | None, crop: str) -> Float[np.ndarray, "N 3"]:
-    """What a picture is framed by: the vertices of the body or of the garment."""
+    """What a picture is framed by: the vertices of the body or of the garment.
+
+    Args:
+        body: Vertices in metres and triangles.
+        garment: The same of the garment.
+        crop: "body" or "garment".
+    """
     check_choice("crop", crop, ("body", "garment"))
     if crop == "garment" and garment is not None:
         return np.asarray(garment[0], np.float64)

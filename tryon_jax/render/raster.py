@@ -30,6 +30,11 @@ class Fragments:
         """Barycentric weights of the triangle's corners at the centres of some covered pixels.
 
         The weights are affine on the screen: exact for parallel projection, and close for small triangles far away.
+
+        Args:
+            faces: Triangles of the scene.
+            row: Of each pixel.
+            column: Of each pixel.
         """
         a, b, c = (self.points[faces[self.face[row, column], k], :2] for k in range(3))
         p = np.stack([column + 0.5, row + 0.5], axis=1)

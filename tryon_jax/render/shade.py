@@ -14,7 +14,7 @@ from tryon_jax.render.scene import Scene
 _SKY = 0.50
 _KEY = 1.22
 _RIM = 0.5
-# Light wanders under skin before it leaves, red the farthest: shadows end softly and warm.
+# Light scatters under the skin, red light the farthest: shadows have soft, warm edges.
 _SKIN_WRAP = np.array([0.30, 0.16, 0.11])
 _CLOTH_WRAP = np.array([0.05, 0.05, 0.05])
 # The inside of cloth beside its outside.
@@ -46,7 +46,14 @@ class Frame:
 def render_view(
     scene: Scene, camera: Camera, frame: Frame, background: Float[np.ndarray, "H W 3"]
 ) -> Float[np.ndarray, "H W 3"]:
-    """Linear light of the scene before `background`."""
+    """Linear light of the scene before `background`.
+
+    Args:
+        scene: What to draw.
+        camera: From where.
+        frame: Which part, in how many pixels.
+        background: Linear light behind it.
+    """
     key = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, -0.80, 0.70, 0.50), radius=0.13, samples=10)
     rim = Lamp.of(scene.vertices, scene.faces, _from_camera(camera, 0.85, 0.45, -0.55), radius=0.0, samples=1)
 
@@ -124,7 +131,8 @@ def _surface(
 
 
 def _hem(border: Float[np.ndarray, "N 1"], pixel: float) -> Float[np.ndarray, "N 1"]:
-    """What a hem leaves of the light, by the distance from the border; a line thinner than a pixel gets fainter."""
+    """Share of the light that a hem leaves, by the distance from the border; a line thinner than a pixel is drawn
+    fainter."""
     width = max(_STITCH_WIDTH, 0.6 * pixel)
     stitch = np.exp(-0.5 * ((border - _HEM_WIDTH) / width) ** 2) * _STITCH_WIDTH / width
     return 1 - _STITCH_SHADE * stitch - _HEM_SHADE * (border < _HEM_WIDTH)
@@ -143,7 +151,7 @@ def _floor_shade(scene: Scene, camera: Camera, frame: Frame, key: Lamp) -> Float
     points = scene.floor.reshape(-1, 3)
     up = np.broadcast_to(np.array([0.0, 1.0, 0.0]), points.shape)
     shape = scene.floor.shape[:2]
-    # A crisp shadow on the floor would draw the eye away from the garment: it is blurred, and fades from the feet.
+    # A sharp shadow on the floor would distract from the garment: it is blurred, and fades away from the feet.
     sky = gaussian_filter(scene.floor_sky, 0.8, mode="nearest") / scene.floor_sky.max()
     direct = gaussian_filter(key.lit(points, up).reshape(shape), 2.5, mode="nearest")
     middle = scene.floor[shape[0] // 2, shape[1] // 2]

@@ -1,7 +1,7 @@
-"""Simulated drapes seen through other meshes: more topologies to learn from, at no simulation.
+"""Simulated drapes on other meshes: more topologies to learn from, without another simulation.
 
 A drape is a map from the flat pattern to space, whatever mesh it was computed on. Read at the vertices of a fresh
-topology of the same design it teaches the networks that the drape does not hang on the mesh. Fresh topologies have
+topology of the same design it teaches the networks that the drape does not depend on the mesh. Fresh topologies have
 seeds that no split knows, and a design that is not trained on is not carried.
 """
 
@@ -25,7 +25,15 @@ FIRST_SEED = 1000
 def fresh_topologies(
     model: TryOnModel, root: Path, samples: Sequence[SimulatedGarment], manifest: Manifest, per_garment: int
 ) -> list[SimulatedGarment]:
-    """`per_garment` fresh topologies of every simulated garment that is fitted, with its drapes carried over."""
+    """`per_garment` fresh topologies of every simulated garment that is fitted, with its drapes carried over.
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        samples: Simulated garments.
+        manifest: Splits of designs and topologies.
+        per_garment: Fresh topologies of each.
+    """
     fitted = [s for s in samples if s.label not in manifest.validation]
     count = len(manifest.training_seeds)
     jobs = [

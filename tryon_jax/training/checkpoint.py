@@ -1,4 +1,4 @@
-"""Checkpoints of a training run: every number of its state, whole or not at all, in files that can be carried.
+"""Checkpoints of a training run: its whole state, in files that are written completely or not at all.
 
 A small state is one file, checkpoint.npz. A larger one is a folder, checkpoint/, of safetensors shards and an index
 that is written last: until it is there the one before counts, whose shards are deleted only afterwards.
@@ -27,7 +27,14 @@ _HEADER = 200
 def save_checkpoint(
     folder: Path, leaves: Sequence[np.ndarray], progress: dict[str, Any], max_bytes: int = MAX_BYTES
 ) -> None:
-    """Keep `leaves` and `progress` (plain JSON values) in `folder`, in place of what was kept there before."""
+    """Keep `leaves` and `progress` (plain JSON values) in `folder`, in place of what was kept there before.
+
+    Args:
+        folder: Where checkpoints are kept.
+        leaves: Arrays.
+        progress: Plain JSON values.
+        max_bytes: Size of a file at most; larger checkpoints are split over several.
+    """
     single, index = folder / "checkpoint.npz", folder / "checkpoint" / "index.json"
     if sum(leaf.nbytes for leaf in leaves) <= max_bytes - 100_000 and not index.exists():
         named = {_name(number): leaf for number, leaf in enumerate(leaves)}

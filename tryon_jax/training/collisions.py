@@ -61,11 +61,11 @@ class CollisionOptions:
     anchor: float = 0.3
     """Weight of the squared change of the prediction (in units of the margin) against the collision loss."""
     replay: float = 0.5
-    """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): what
-    R_fine has learned from them is not unlearned. Their loss is the distance, in units of the margin."""
+    """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): so
+    that R_fine keeps what it has learned from them. Their loss is the distance, in units of the margin."""
     stretch: float = 1e4
     """Weight of edges that are stretched beyond `most_stretch` (see `excess_stretch`), which tear on bodies and designs
-    that no simulation has shown; 0 leaves them alone, as the paper does."""
+    that were not simulated; 0 leaves them out, as the paper does."""
     most_stretch: float = 1.25
     """Length over rest length in the pattern that costs nothing."""
     distance: Distance = "plain"
@@ -93,7 +93,13 @@ class CollisionBatch:
 
 
 def random_betas(rng: np.random.Generator, count: int, extent: tuple[float, ...]) -> Float[np.ndarray, "N b"]:
-    """Shapes spread evenly over the ellipse with the half axes `extent` (over the interval for one beta)."""
+    """Shapes spread evenly over the ellipse with the half axes `extent` (over the interval for one beta).
+
+    Args:
+        rng: Source of random numbers.
+        count: Number of shapes.
+        extent: Half axes, standard deviations.
+    """
     direction = rng.normal(size=(count, len(extent)))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = rng.random((count, 1)) ** (1 / len(extent))
@@ -101,7 +107,13 @@ def random_betas(rng: np.random.Generator, count: int, extent: tuple[float, ...]
 
 
 def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
-    """Garments of random designs, each with its own random topology."""
+    """Garments of random designs, each with its own random topology.
+
+    Args:
+        model: Its configuration and R_mean.
+        count: Number of garments.
+        seed: Of designs and topologies.
+    """
     space = config_space(model.config)
     tree = cKDTree(np.asarray(model.body.v_template))
     size = 1 << max(1, int(np.ceil(np.log2(count))))
@@ -114,7 +126,14 @@ def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
 
 
 def pool_garment(model: TryOnModel, design: Design, topology: int, tree: cKDTree) -> PooledGarment:
-    """One garment of a pool; `tree` holds the mean body's vertices."""
+    """One garment of a pool; `tree` holds the mean body's vertices.
+
+    Args:
+        model: Its configuration and R_mean.
+        design: The design.
+        topology: Seed of the mesh.
+        tree: Vertices of the mean body.
+    """
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=topology)
     garment = prepare_mesh(model, mesh, bucket=training_bucket(mesh.num_vertices))
     nearest = tree.query(np.asarray(garment.graph.vertices))[1].astype(np.int32)
@@ -145,6 +164,13 @@ class CollisionTask:
     """The loss and the measure of one fabric's collision step, for one model."""
 
     def __init__(self, model: TryOnModel, fabric: str, options: CollisionOptions) -> None:
+        """Train the R_fine of one fabric.
+
+        Args:
+            model: The model, with the R_fine to be trained.
+            fabric: Whose R_fine.
+            options: Of the training.
+        """
         self.model, self.fabric, self.options = model, fabric, options
         self.start = model.fine[fabric]
         self.neighbours = list_neighbours(model.body)
@@ -204,7 +230,16 @@ class CollisionTask:
         return jax.vmap(one)(fine, betas)
 
     def inside_share(self, weights: StageWeights, pool: Sequence[PooledGarment], seed: int) -> float:
-        """Share of vertices behind their closest body vertex, over a pool and fixed random shapes."""
+        """Share of vertices behind their closest body vertex, over a pool and fixed random shapes.
+
+        Args:
+            weights: Of R_fine.
+            pool: Garments.
+            seed: Of the body shapes.
+
+        Returns:
+            A share, 0 to 1.
+        """
         rng = np.random.default_rng(seed)
         shares = []
         for pooled in pool:
@@ -216,7 +251,14 @@ class CollisionTask:
 def draw_collisions(
     pool: Sequence[PooledGarment], options: CollisionOptions, extent: tuple[float, ...], rng: np.random.Generator
 ) -> CollisionBatch:
-    """A batch of garments that share a bucket, with random shapes."""
+    """A batch of garments that share a bucket, with random shapes.
+
+    Args:
+        pool: Garments to draw from.
+        options: Sizes of the batch.
+        extent: Half axes of the body shapes, standard deviations.
+        rng: Source of random numbers.
+    """
     first = pool[int(rng.integers(len(pool)))]
     group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
     chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
@@ -227,5 +269,11 @@ def draw_collisions(
 
 
 def with_fine(model: TryOnModel, fabric: str, stage: Stage) -> TryOnModel:
-    """The model with another R_fine for one fabric."""
+    """The model with another R_fine for one fabric.
+
+    Args:
+        model: The model.
+        fabric: Whose R_fine.
+        stage: The R_fine to put there.
+    """
     return replace(model, fine={**model.fine, fabric: stage})

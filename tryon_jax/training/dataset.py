@@ -115,7 +115,7 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def remove_leftovers(root: Path, age: float = 3600.0) -> int:
-    """Delete what killed writers left behind: hidden files older than `age` seconds; returns how many.
+    """Delete temporary files of writers that were killed: hidden files older than `age` seconds; returns how many.
 
     Younger ones may belong to another process or machine that is writing now.
     """
@@ -142,12 +142,25 @@ def mesh_path(root: Path, garment: str) -> Path:
 
 
 def mean_path(root: Path, garment: str, fabric: str) -> Path:
-    """File of a garment's drape on the mean body."""
+    """File of a garment's drape on the mean body.
+
+    Args:
+        root: Folder of the dataset.
+        garment: <design label>-<topology seed>.
+        fabric: Name of the fabric.
+    """
     return root / "mean" / f"{garment}_{fabric}.npz"
 
 
 def ray_path(root: Path, garment: str, fabric: str, ray: int) -> Path:
-    """File of the drapes along one ray."""
+    """File of the drapes along one ray.
+
+    Args:
+        root: Folder of the dataset.
+        garment: <design label>-<topology seed>.
+        fabric: Name of the fabric.
+        ray: Number of the ray.
+    """
     return root / "rays" / f"{garment}_{fabric}_{ray:02d}.npz"
 
 

@@ -63,7 +63,13 @@ _smooth = jax.jit(smooth)
 
 
 def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
-    """The garment of a stored mesh with M̄ = W · R_mean(p)."""
+    """The garment of a stored mesh with M̄ = W · R_mean(p).
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        name: <design label>-<topology seed>.
+    """
     mesh = load_arrays(mesh_path(root, name))
     template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(mesh["design"], jnp.float32)))
     vertices = np.einsum("vk,vkc->vc", mesh["template_weights"], template[mesh["template_vertices"]])
@@ -88,7 +94,18 @@ def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
 def load_simulated(
     model: TryOnModel, root: Path, name: str, fabrics: Sequence[str], garment: Garment | None = None
 ) -> SimulatedGarment:
-    """A garment with every drape that the dataset holds of it, test shapes included and marked."""
+    """A garment with every drape that the dataset holds of it, test shapes included and marked.
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        name: <design label>-<topology seed>.
+        fabrics: Names of the fabrics.
+        garment: From `prepare_simulated`; made when None.
+
+    Raises:
+        FileNotFoundError: The garment's drape on the mean body is missing.
+    """
     garment = garment or prepare_simulated(model, root, name)
     tables = {fabric: _samples(root, name, fabric) for fabric in fabrics}
     keys = sorted(set.union(*[set(table) for table in tables.values()]))
@@ -109,8 +126,8 @@ def load_simulated(
                 stacked[i, :count], keep[i] = sample.vertices, True
         drapes[fabric], good[fabric] = stacked, keep
     test = np.array([next(t[key].test for t in tables.values() if key in t) for key in keys])
-    # Fabrics differ by a centimetre. Leaving one out of the average where real cloth could not be worn would make the
-    # target jump from one body shape to the next, so its simulation counts here even if R_fine never sees it.
+    # Fabrics differ by a centimetre. If one were left out of the average where its garment could not be put on, the
+    # target would jump between body shapes, so its simulation counts here even if R_fine never sees it.
     usable = resting & np.any([good[f] for f in fabrics], axis=0)
     target = _smooth_all(garment.smoother, total)
     return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable)

@@ -17,7 +17,13 @@ _stretches = jax.jit(principal_stretches)
 
 
 def principal_tension(x: Float[np.ndarray, "V 3"], cloth: Cloth, fabric: Fabric) -> Float[np.ndarray, " F"]:
-    """Largest principal stress of each face, N/m; padding gives zero area and is the caller's to drop."""
+    """Largest principal stress of each face, N/m; faces of padding have zero area, and the caller drops them.
+
+    Args:
+        x: Vertices, metres.
+        cloth: Rest state.
+        fabric: Material.
+    """
     return np.asarray(_tension(jnp.asarray(x), cloth, fabric))
 
 
@@ -47,7 +53,14 @@ class Inspector:
         return -found.closest, found.surface
 
     def statistics(self, drape: Drape, faces: Int[np.ndarray, "F 3"], cloth: Cloth, fabric: Fabric) -> dict[str, float]:
-        """The entries of `dataset.STATISTICS` for one drape."""
+        """The entries of `dataset.STATISTICS` for one drape.
+
+        Args:
+            drape: The drape.
+            faces: Its triangles.
+            cloth: Rest state.
+            fabric: Material.
+        """
         depth, inside = self.penetration(drape, faces)
         count = len(faces)
         tension = principal_tension(np.asarray(drape.state.x), cloth, fabric)[:count]

@@ -1,4 +1,4 @@
-"""Stopping long work between two steps: Ctrl-C and a polite end of the process (SIGTERM, as `timeout` sends it)."""
+"""Stopping long work between two steps: at Ctrl-C, or at SIGTERM, as `timeout` sends it."""
 
 import signal
 import threading

@@ -38,8 +38,8 @@ class LoopOptions:
     learning_rate: float = 2e-3
     """At the start of a cosine decay to 2 %, after a short warm-up."""
     bias_rate: float = 0.1
-    """Under Muon, learning rate of the biases, which AdamW moves, over that of the matrices: with one rate for both the
-    loss leapt up now and then, and took a thousand steps to come back."""
+    """Under Muon, learning rate of the biases, which AdamW moves, over that of the matrices: with one rate for both,
+    the loss jumped now and then and took a thousand steps to recover."""
     warmup: int = 50
     weight_decay: float = 1e-5
     """ℓ² regularisation of the weights (decoupled, as in AdamW)."""

@@ -14,7 +14,7 @@ from tryon_jax.nets.mlp import MeanDrape, apply_mean_drape, init_mean_drape
 from tryon_jax.training.dataset import is_good, load_arrays
 
 _SMALLEST_SCALE = 1e-3
-# A single design has no spread to take the unit of the output from.
+# A single design has no standard deviation from which to take the unit of the output.
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,9 @@ def train_mean(
 
     Args:
         samples: training drapes.
-        center, scale: design parameters are normalised as (p − center) / scale.
+        center: design parameters are normalised as (p − center) / scale; metres.
+        scale: see `center`; metres.
+        options: steps, weight regularisation and seed.
 
     Returns:
         the network and its curve (step, training loss, validation error in millimetres).

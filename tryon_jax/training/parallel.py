@@ -29,8 +29,8 @@ AXIS = "data"
 def joined_processes(coordinator: str, processes: int, process: int, heartbeat: int = 100) -> Iterator[None]:
     """Make this process one of several that train together; enter before JAX is used for anything else.
 
-    Whatever ends one process ends them all, each with one line and an exit code that is not 0: the one that is left
-    would otherwise wait for the others for ever. What the last checkpoint holds is not lost.
+    Whatever ends one process ends them all, each with one line and an exit code that is not 0: otherwise those that are
+    left would wait for it for ever. The last checkpoint is kept.
 
     Args:
         coordinator: host:port at which process 0 can be reached by all others.
@@ -60,7 +60,7 @@ def joined_processes(coordinator: str, processes: int, process: int, heartbeat: 
 
 
 class SingleDevice:
-    """Training on the default device, as if this module were not there."""
+    """Training on the default device alone."""
 
     is_main = True
     """True where files are written and progress is shown."""
@@ -107,7 +107,7 @@ class DataParallel(SingleDevice):
             def part(params: Params, leaves: list[jax.Array]) -> tuple[jax.Array, Params]:
                 return jax.lax.pmean(value_and_grad(params, jax.tree.unflatten(structure, leaves)), AXIS)
 
-            # The sparse product is a primitive that knows nothing of varying axes.
+            # The sparse product is a primitive without a rule for varying axes.
             run = jax.shard_map(part, mesh=self.mesh, in_specs=(P(), partition(batch)), out_specs=P(), check_vma=False)
             return run(params, leaves)
 
@@ -157,7 +157,7 @@ class DataParallel(SingleDevice):
 
 
 def visible_devices() -> SingleDevice:
-    """All devices that JAX sees, of all processes that have joined: one is used as ever, several in parallel."""
+    """All devices that JAX sees, of all processes that have joined: one is used by itself, several in parallel."""
     devices = jax.devices()
     return SingleDevice() if len(devices) == 1 else DataParallel(devices)
 

@@ -1,6 +1,6 @@
 """Loss and gradient of a batch, a few body shapes at a time.
 
-A training step on a CPU is bound by memory: what one pass over a whole batch keeps for the way back is tens of
+A training step on a CPU is bound by memory: what one pass over a whole batch stores for the backward pass is tens of
 megabytes at every layer. One drape stays in the cache, and the mean of its gradients is the same.
 """
 
@@ -71,5 +71,5 @@ def value_and_grad_in_parts(loss: Callable[[Params, Batch], jax.Array], shapes: 
 
 
 def default_shapes_at_once() -> int:
-    """One where memory is slow and caches are large, all where a device wants to be filled."""
+    """One on a CPU, where memory is slow and caches are large; all on other devices, which need much work at once."""
     return 1 if jax.default_backend() == "cpu" else 0

@@ -1,4 +1,4 @@
-"""What there is to simulate: a list of independent tasks, each of which writes one file of the dataset."""
+"""The tasks of a simulation: independent of each other, each of which writes one file of the dataset."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -76,7 +76,13 @@ def plan(
 
 
 def ray_numbers(protocol: Protocol, count: int, turn: int | None) -> list[int]:
-    """Numbers of `count` rays: the first of the protocol's order, or evenly spaced ones from number `turn` on."""
+    """Numbers of `count` rays: the first of the protocol's order, or evenly spaced ones from number `turn` on.
+
+    Args:
+        protocol: Which rays there are, in which order.
+        count: How many are wanted.
+        turn: Number of the first of evenly spaced rays; None for the first of the protocol's order.
+    """
     if turn is None:
         return list(protocol.order[:count])
     total = len(protocol.rays)
@@ -97,5 +103,14 @@ def batches(tasks: Sequence[Task], size: int) -> list[tuple[Task, ...]]:
 
 
 def garment_names(manifest: Manifest, designs: Sequence[str], seeds: Sequence[int]) -> list[str]:
-    """Names of garments, design-major; every design is checked against the manifest."""
+    """Names of garments, design-major; every design is checked against the manifest.
+
+    Args:
+        manifest: Designs and topologies.
+        designs: Labels.
+        seeds: Of topologies.
+
+    Raises:
+        ValueError: There is no such design.
+    """
     return [f"{manifest.design(label).label}-{seed}" for label in designs for seed in seeds]

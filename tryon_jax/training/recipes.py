@@ -98,7 +98,13 @@ def model_path(run: Path) -> Path:
 
 
 def training_names(root: Path, manifest: Manifest, designs: str = "all") -> list[str]:
-    """Garments of a dataset that may be trained on and whose drapes on the mean body are there."""
+    """Garments of a dataset that may be trained on and whose drapes on the mean body are there.
+
+    Args:
+        root: Folder of the dataset.
+        manifest: Splits of designs and topologies.
+        designs: "all", or "paper" for the 19 designs of the paper.
+    """
     fabrics = read_config(root).fabrics
     names = manifest.training_garments(additional=designs == "all")
     return [n for n in names if all((root / "mean" / f"{n}_{fabric}.npz").exists() for fabric in fabrics)]
@@ -115,7 +121,14 @@ def dataset_checksum(root: Path, names: Sequence[str]) -> str:
 
 
 def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) -> TryOnModel:
-    """Train R_mean and start the run's model."""
+    """Train R_mean and start the run's model.
+
+    Args:
+        root: Folder of the dataset.
+        run: Folder of the run.
+        config: Of the model.
+        options: Of the training.
+    """
     samples = load_templates(root, load_manifest())
     space = config_space(config)
     center, scale = np.asarray(space.mean), 0.5 * (np.asarray(space.maximum) - np.asarray(space.minimum))
@@ -135,13 +148,25 @@ def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) 
 
 
 def load_samples(model: TryOnModel, root: Path, names: Sequence[str]) -> list[SimulatedGarment]:
-    """Garments with their drapes, prepared for the model."""
+    """Garments with their drapes, prepared for the model.
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        names: <design label>-<topology seed> of each garment.
+    """
     fabrics = read_config(root).fabrics
     return [load_simulated(model, root, name, fabrics) for name in tqdm(names, desc="garments", mininterval=2)]
 
 
 def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
-    """Train R_smooth of a run whose R_mean is trained."""
+    """Train R_smooth of a run whose R_mean is trained.
+
+    Args:
+        root: Folder of the dataset.
+        run: Folder of the run.
+        options: Of the training.
+    """
     model = load_model(model_path(run))
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
@@ -200,7 +225,14 @@ def _fit_fabrics(
 
 
 def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOptions) -> tuple[list[StageSet], str]:
-    """Samples of one fabric's R_fine and their checksum."""
+    """Samples of one fabric's R_fine and their checksum.
+
+    Args:
+        model: Its configuration and R_mean.
+        root: Folder of the dataset.
+        fabric: Name of the fabric.
+        options: Of the training.
+    """
     manifest = load_manifest()
     names = training_names(root, manifest, options.designs)
     samples = load_samples(model, root, names)
@@ -305,6 +337,16 @@ def fit_stage(
     fabric: Fabric | None = None,
 ) -> tuple[Stage, dict[str, Any]]:
     """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`.
+
+    Args:
+        model: The model.
+        kind: "smooth" or "fine".
+        stage: Network and scale to start from.
+        sets: Samples of each garment.
+        folder: Where checkpoints and the curve are kept.
+        options: Of the training.
+        checksum: Of the samples.
+        fabric: The stage's fabric, where the loss has energies.
 
     Returns:
         The trained stage, and the record of its training.

@@ -1,4 +1,4 @@
-"""One convention for which of many equilibria a drape is, so that folds agree between designs, meshes and bodies.
+"""A convention that selects one of many equilibria, so that folds agree between designs, meshes and bodies.
 
 Cloth with friction rests in many ways, and rounding, the mesh and the way of dressing choose between them by chance.
 Here the mean design alone is dressed, once for each fabric. Every design starts on the mean body from that drape, moved
@@ -43,7 +43,13 @@ def store_guess(path: Path, mean: MeanDrape) -> MeanDrape:
 
 
 def reference_mesh(space: DesignSpace, design: Design, num_vertices: int) -> DenseTemplate:
-    """The mesh of a design whose connectivity all designs share."""
+    """The mesh of a design whose connectivity all designs share.
+
+    Args:
+        space: The design's space.
+        design: The design.
+        num_vertices: Vertices of the mesh.
+    """
     return dense_template(space, design, num_vertices)
 
 

@@ -79,6 +79,14 @@ def manifest_table(root: Path, samples: Iterable[Sample], manifest: Manifest) ->
 
     `split` is "training" where the garment and the body shape may be trained on; `broken_rules` is empty for kept
     samples. With the checksums beside it, it says exactly what a dataset holds.
+
+    Args:
+        root: Folder of the dataset.
+        samples: From `read_samples`.
+        manifest: Splits of designs and topologies.
+
+    Returns:
+        The text of the CSV file.
     """
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -80,7 +80,8 @@ class Simulator:
         return Subject(*self.garment(garment), self.fabric(fabric))
 
     def _garment(self, name: str) -> tuple[dict[str, np.ndarray], Cloth]:
-        """A garment's stored mesh and rest state. The file is the truth: φ runs only where there is none yet."""
+        """A garment's stored mesh and rest state. The file is used where there is one: φ runs only where there is none
+        yet."""
         path = mesh_path(self.root, name)
         if not path.exists():
             label, seed = name.rsplit("-", 1)
@@ -219,7 +220,8 @@ class Simulator:
         drapes = [load_arrays(mean_path(self.root, garment, fabric)) for fabric in self.config.fabrics]
         if not all(np.isfinite(drape["residual"]) for drape in drapes):
             return None, DIVERGED
-        # Tight garments stay in: their knit drapes are sound where woven cloth could not be worn.
+        # Tight garments stay in: their drapes in knitted fabric are valid where the garment in woven fabric could not
+        # be put on.
         statistics = {key: float(drapes[0][key]) for key in STATISTICS}
         average = np.mean([drape["vertices"] for drape in drapes], axis=0)
         return fit_template(mesh["template_vertices"], mesh["template_weights"], average), statistics
@@ -278,7 +280,7 @@ class Simulator:
         """Follow rays from the stored drapes on the mean body; nothing comes after a drape that diverged."""
         body, settings, equilibrium = self.obstacle, self.settings, self.equilibrium
         stored = [self._stored(mean_path(self.root, task.garment, task.fabric)) for task in tasks]
-        # A drape at rest is where it was: no step is taken.
+        # A drape at rest stays where it is: no step is taken.
         at_rest = [
             None if start is None else relax(*start, self.mean_body, *s[1:], body, settings, equilibrium, max_steps=0)
             for start, s in zip(stored, subjects, strict=True)
@@ -340,6 +342,14 @@ def fit_template(
     """The template whose interpolation W T̄ is nearest to a drape, in least squares.
 
     A weak pull towards local averages settles template vertices that few garment vertices see.
+
+    Args:
+        corners: Template vertices that each garment vertex lies between.
+        weights: Its barycentric weights.
+        vertices: The drape, metres.
+
+    Returns:
+        Template positions, metres.
     """
     size = int(corners.max()) + 1
     rows = np.repeat(np.arange(len(corners)), 3)

@@ -66,7 +66,7 @@ class StageBatch:
     """Stacked along a leading axis G."""
     betas: Float[ArrayLike, "G B b"]
     inputs: Float[ArrayLike, "G B N 3"]
-    """M_smooth as R_fine sees it; zeros for R_smooth, which does not look."""
+    """M_smooth as R_fine sees it; zeros for R_smooth, which does not use it."""
     targets: Float[ArrayLike, "G B N 3"]
     """Vertices to be predicted, metres."""
     cloth: Cloth | None = None
@@ -91,7 +91,19 @@ class StageSet:
 def predict(
     config: TryOnConfig, kind: str, stage: Stage, garment: Garment, betas: Array, inputs: Array
 ) -> Float[Array, "B N 3"]:
-    """The stage's output, "smooth" or "fine", by the functions that `drape` calls."""
+    """The stage's output, "smooth" or "fine", by the functions that `drape` calls.
+
+    Args:
+        config: Of the model.
+        kind: "smooth" or "fine".
+        stage: Network and scale.
+        garment: One garment.
+        betas: Body shapes, standard deviations.
+        inputs: M_smooth [B, N, 3] for "fine", metres; not read for "smooth".
+
+    Returns:
+        Vertices, metres.
+    """
     if kind == "smooth":
         return smooth_stage(config, stage, garment, betas)
     return fine_stage(config, stage, garment, betas, inputs)
@@ -144,8 +156,8 @@ def displacement_error(
         mask: which are no padding.
         scale: unit of length, metres.
         distance: squared: the mean square of a coordinate's error. plain: the mean distance, the ℓ²-norm of each
-            vertex's error, which forgives a few vertices far off: where cloth may fold either way, squares are least
-            between the folds, where it never is.
+            vertex's error, which weights large errors less: where cloth may fold in two ways, the mean of the two,
+            which is no fold, has the smallest squared error.
     """
     error = jnp.where(mask[:, None, :, None], predicted - targets, 0.0) / scale
     squares = (error * error).sum(axis=3)
@@ -168,6 +180,11 @@ def relative_energy(vertices: Float[Array, "N 3"], cloth: Cloth, fabric: Fabric)
     """Stretch, bending and gravity of a drape over its weight (metres: how high the energy would lift it), times 1/mm.
 
     The simulator's equilibrium is a minimum of it under contact, where the mean over many equilibria is none.
+
+    Args:
+        vertices: The drape, metres.
+        cloth: Rest state.
+        fabric: Material.
     """
     mass = jnp.asarray(cloth.vertex_areas) * fabric.density
     stored = stretch_energy(vertices, cloth, fabric) + bending_energy(vertices, cloth, fabric)
@@ -179,6 +196,17 @@ def split_validation(samples: SimulatedGarment, manifest: Manifest, every: int =
     """Training shapes of a garment, less every sixteenth, which choose the weights (never the test shapes).
 
     All shapes of the manifest's validation designs do. Drapes that were carried over choose nothing.
+
+    Args:
+        samples: One garment.
+        manifest: Splits of designs and topologies.
+        every: Distance between two validation shapes.
+
+    Returns:
+        Masks [S] of the training and of the validation samples.
+
+    Raises:
+        PermissionError: The garment's design or topology is for testing.
     """
     allowed = training_shapes(samples, manifest)
     if samples.label in manifest.validation:
@@ -252,7 +280,15 @@ class BatchSource:
         no_design: Float[np.ndarray, " P"] | None = None,
         dropout: float = 0.0,
     ) -> None:
-        """`no_design` takes the place of the design in a share `dropout` of the garments drawn."""
+        """Draw batches from these samples.
+
+        Args:
+            sets: Samples of each garment.
+            garments: Garments of a batch.
+            shapes: Shapes of each.
+            no_design: Design that takes the place of a garment's own one, metres.
+            dropout: Share of the garments drawn whose design is replaced.
+        """
         self.shapes, self.garments, self.no_design, self.dropout = shapes, garments, no_design, dropout
         self.sets = [s for s in sets if s.train.any()]
         if not self.sets:
@@ -304,7 +340,14 @@ class Predictor:
     def __call__(
         self, stage: Stage, garment: Garment, betas: Float[np.ndarray, "S b"], inputs: np.ndarray | None = None
     ) -> Float[np.ndarray, "S N 3"]:
-        """Predicted vertices, padded, metres."""
+        """Predicted vertices, padded, metres.
+
+        Args:
+            stage: Network and scale.
+            garment: One garment.
+            betas: Body shapes, standard deviations.
+            inputs: M_smooth for R_fine, metres.
+        """
         out = []
         for start in range(0, len(betas), CHUNK):
             rows = np.arange(start, start + CHUNK) % len(betas)
@@ -316,7 +359,13 @@ class Predictor:
 def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet], most: int = 8) -> float:
     """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres.
 
-    Garments with training samples and designs that have none count half each: what is asked for is as often new.
+    Garments with training samples and designs that have none count half each: users ask for new designs as often.
+
+    Args:
+        predictor: Compiled prediction.
+        stage: Network and scale.
+        sets: Samples of each garment.
+        most: Samples of each garment at most.
     """
     errors: dict[bool, list[float]] = {}
     for s in sets:

@@ -1,4 +1,4 @@
-"""The method put together: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
+"""The whole method: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
 
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
 from tryon_jax.tryon.draping import (
@@ -6,12 +6,12 @@ from tryon_jax.tryon.draping import (
     DrapeStages,
     StageFields,
     apply_fields,
-    carry,
     drape,
     drape_fields,
     drape_stages,
     fine_of,
     mean_drape,
+    move_with_graph,
     with_design,
 )
 from tryon_jax.tryon.features import fine_features, smooth_features
@@ -42,7 +42,6 @@ __all__ = [
     "apply_stage",
     "base_and_detail",
     "body_contact",
-    "carry",
     "config_space",
     "design_of",
     "drape",
@@ -57,6 +56,7 @@ __all__ = [
     "load_pretrained",
     "mean_drape",
     "model_parameters",
+    "move_with_graph",
     "prepare",
     "prepare_mesh",
     "report_penetration",

@@ -104,6 +104,14 @@ def drape_stages(
     """`drape` with its intermediate results; arguments as there.
 
     With `contact`, made once by `body_contact(model.body)`, the result also says where M_fine is inside the body.
+
+    Args:
+        model: Networks and body.
+        garment: From `prepare`.
+        betas: Body shapes, standard deviations.
+        fabric: One of the model's; the first when None.
+        design: Design parameters in place of the garment's, metres.
+        contact: From `body_contact(model.body)`; with it the result says where M_fine is inside the body.
     """
     garment = with_design(model, garment, design)
     vertices = jnp.asarray(garment.graph.vertices)
@@ -112,14 +120,16 @@ def drape_stages(
         smooth, fine = _evaluate(drape_fields(model, garment, fabric), rows)
     else:
         moved = smooth_stage(model.config, model.smooth, garment, rows)
-        fine = carry(garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices)
-        smooth = carry(garment, moved, vertices)
+        fine = move_with_graph(
+            garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices
+        )
+        smooth = move_with_graph(garment, moved, vertices)
     report = None
     if contact is not None:
         report = report_penetration(contact, model.body, fine, rows, garment.body_vertices, garment.mask)
         report = jax.tree.map(lambda x: x.reshape(*batch, *x.shape[1:]), report)
     smooth, fine = (x.reshape(*batch, *x.shape[1:]) for x in (smooth, fine))
-    return DrapeStages(carry(garment, vertices, vertices), smooth, fine, report)
+    return DrapeStages(move_with_graph(garment, vertices, vertices), smooth, fine, report)
 
 
 def drape_fields(
@@ -129,6 +139,12 @@ def drape_fields(
     design: Float[ArrayLike, " P"] | None = None,
 ) -> DrapeFields:
     """The networks' part of `drape`, once for a garment and a fabric; arguments as there.
+
+    Args:
+        model: Networks and body.
+        garment: From `prepare`.
+        fabric: One of the model's; the first when None.
+        design: Design parameters in place of the garment's, metres.
 
     Raises:
         ValueError: for an unknown fabric, or a model with `conditioning="node"`, which has no fields.
@@ -170,6 +186,11 @@ def fine_of(model: TryOnModel, fabric: str | None) -> Stage:
 def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:
     """The garment with M̄ of another design at its fixed topology; the garment itself where `design` is None.
 
+    Args:
+        model: Its R_mean.
+        garment: From `prepare`.
+        design: Parameters, metres.
+
     Raises:
         ValueError: the garment was not made from a design.
     """
@@ -178,12 +199,20 @@ def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " 
     mean = mean_drape(model, garment, design)
     own = garment.own
     if own is not None:
-        own = dataclasses.replace(own, vertices=carry(garment, mean, jnp.asarray(garment.graph.vertices)))
+        own = dataclasses.replace(own, vertices=move_with_graph(garment, mean, jnp.asarray(garment.graph.vertices)))
     return dataclasses.replace(garment.with_vertices(mean), design=jnp.asarray(design), own=own)
 
 
 def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
     """M̄ = W · R_mean(p) at the garment's fixed topology, differentiable in the design; padded vertices are zero.
+
+    Args:
+        model: Its R_mean.
+        garment: From `prepare`.
+        design: Parameters, metres.
+
+    Returns:
+        Vertices, metres.
 
     Raises:
         ValueError: the garment was not made from a design.
@@ -196,8 +225,19 @@ def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P
     )
 
 
-def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]) -> Float[Array, "*batch M 3"]:
-    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other."""
+def move_with_graph(
+    garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]
+) -> Float[Array, "*batch M 3"]:
+    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other.
+
+    Args:
+        garment: From `prepare`.
+        moved: Vertices of the graph, metres.
+        mean: Where they were, metres.
+
+    Returns:
+        Vertices, metres.
+    """
     own = garment.own
     if own is None:
         return moved
@@ -207,7 +247,7 @@ def carry(garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array
 
 
 def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
-    """Fields at the vertices of the user's own mesh, where there is one: `carry` is affine."""
+    """Fields at the vertices of the user's own mesh, where there is one: `move_with_graph` is affine."""
     own = garment.own
     if own is None:
         return smooth, fine
@@ -218,7 +258,9 @@ def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> t
         return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
 
     return (
-        StageFields(carry(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients),
+        StageFields(
+            move_with_graph(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients
+        ),
         StageFields(interpolated(fine.offset), interpolated(fine.fields), fine.coefficients),
     )
 

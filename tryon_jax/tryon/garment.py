@@ -1,4 +1,5 @@
-"""A garment ready to drape: its graph, its tie to the design and, for a user's mesh, to the user's own vertices."""
+"""A garment ready to drape: its graph, its relation to the design and, for a user's mesh, to the user's own
+vertices."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from tryon_jax.types import ArrayLike, pytree
 
 @pytree
 class CarriedMesh:
-    """A user's mesh, carried by the evenly spaced mesh that the networks see; padded like everything else."""
+    """A user's mesh, which moves with the evenly spaced mesh that the networks see; padded like everything else."""
 
     vertices: Float[ArrayLike, "*batch M 3"]
     """On the mean body, metres."""
@@ -47,7 +48,7 @@ class Garment:
     """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
 
     def __eq__(self, other: object) -> bool:
-        """Identity: whether arrays are equal is a question of its own, and one for each array."""
+        """Identity: comparing arrays gives an array, not a truth value."""
         return self is other
 
     __hash__ = object.__hash__
@@ -66,7 +67,8 @@ class Garment:
 
     @property
     def body_vertices(self) -> Int[Array, " N"]:
-        """The body vertex closest on the mean body to each vertex; to its first carrier, for a user's own mesh."""
+        """The body vertex closest on the mean body to each vertex; for a user's own mesh, to the first of the graph's
+        vertices that it lies between."""
         closest = jnp.asarray(self.graph.body_vertices)
         return closest if self.own is None else closest[jnp.asarray(self.own.carriers)[:, 0]]
 

@@ -28,7 +28,7 @@ _BEFORE_FIELDS = {
     "num_parameters": 3,
     "laplacian": "symmetric",
 }
-"""What files mean that were written before networks predicted fields."""
+"""Defaults for files that were written before networks predicted fields."""
 
 
 def save_model(
@@ -37,6 +37,12 @@ def save_model(
     """Write parameters, configuration, body and pattern fingerprints and a training record to a safetensors file.
 
     `half` stores the networks' weights in half precision.
+
+    Args:
+        path: File to write.
+        model: The model.
+        training: Record of its training, plain JSON values.
+        half: Store the networks' weights in half precision.
     """
     record = _record(model.config, model.body) | {"training": dict(training or {})}
     store.save_store(path, model_parameters(model), record, half=half)

@@ -1,4 +1,4 @@
-"""Networks in half the width: weights and features in bfloat16, positions and displacements as ever."""
+"""Networks in half precision: weights and features in bfloat16, positions and displacements in float32."""
 
 import dataclasses
 from typing import Any

@@ -74,8 +74,8 @@ def prepare_mesh(
 ) -> Garment:
     """As `prepare`, for a garment mesh of φ that exists already (as in training sets).
 
-    A filter of the networks reaches a number of edges, not of metres. A mesh much finer or coarser than what they were
-    trained on is therefore carried, through the flat pattern, by an even mesh of that density.
+    A filter of the networks reaches a number of edges, not of metres. The networks therefore see an even mesh of the
+    density that they were trained on. A much finer or coarser mesh moves with it, through the flat pattern.
 
     Args:
         model: The model that will drape it.
@@ -122,7 +122,7 @@ def _mean_vertices(model: TryOnModel, mesh: GarmentMesh) -> Float[np.ndarray, "V
 
 
 def _is_known(area: float, trained: float) -> bool:
-    """Whether triangles of that mean area are near enough to those that the networks were trained on."""
+    """Whether triangles of that mean area are within the range of those that the networks were trained on."""
     return trained / _DENSITY_RANGE <= area <= trained * _DENSITY_RANGE
 
 
@@ -152,7 +152,7 @@ def _carried_mesh(
 
 
 def design_of(space: DesignSpace, design: Design | Mapping[str, float] | Sequence[float] | str | None) -> Design:
-    """The design that is meant by parameters in metres by name or in order, the name of a preset, or None: the mean.
+    """The design given by parameters in metres by name or in order, by the name of a preset, or by None: the mean.
 
     Raises:
         ValueError: Unknown names, or values out of range.

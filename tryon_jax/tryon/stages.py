@@ -63,20 +63,38 @@ def fine_stage(
 
 
 def smooth_fields(config: TryOnConfig, stage: Stage, garment: Garment) -> Float[Array, "N 3 K"]:
-    """The displacement fields that R_smooth predicts for a garment, metres; zero at padded nodes."""
+    """The displacement fields that R_smooth predicts for a garment, metres; zero at padded nodes.
+
+    Args:
+        config: Of the model.
+        stage: R_smooth.
+        garment: One garment.
+    """
     return _split_fields(apply_stage(stage, garment.graph, smooth_features(config, garment)))
 
 
 def fine_fields(
     config: TryOnConfig, stage: Stage, garment: Garment, detail: Float[Array, "N 3"]
 ) -> Float[Array, "N 3 K"]:
-    """The displacement fields that R_fine predicts for a garment with this detail, metres; zero at padded nodes."""
+    """The displacement fields that R_fine predicts for a garment with this detail, metres; zero at padded nodes.
+
+    Args:
+        config: Of the model.
+        stage: R_fine.
+        garment: One garment.
+        detail: What its mean drape has beyond its smoothed form, metres.
+    """
     vertices = jnp.asarray(garment.graph.vertices)[:, None, :]
     return _split_fields(apply_stage(stage, garment.graph, fine_features(config, garment, vertices, detail)))
 
 
 def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
     """Weights of a stage's fields for bodies of shape `betas`.
+
+    Args:
+        config: Of the model.
+        stage: R_smooth or R_fine.
+        betas: Standard deviations.
 
     Raises:
         ValueError: the stage takes the betas at its nodes.
@@ -89,7 +107,14 @@ def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) 
 def field_coefficients(
     mlp: MLP, betas: Float[Array, "B b"], beta_scale: float, periods: tuple[float, ...]
 ) -> Float[Array, "B K"]:
-    """Coefficients of fields from betas: a perceptron of the scaled betas and their waves."""
+    """Coefficients of fields from betas: a perceptron of the scaled betas and their waves.
+
+    Args:
+        mlp: The perceptron.
+        betas: Standard deviations.
+        beta_scale: Standard deviations that the perceptron sees as one.
+        periods: Of the waves, standard deviations.
+    """
     inputs = jnp.concatenate([betas / beta_scale, fourier_features(betas, periods)], axis=-1)
     return apply_mlp(mlp, inputs)
 
@@ -100,7 +125,13 @@ def weighted_sum(fields: Float[Array, "N 3 K"], weights: Float[Array, "B K"]) ->
 
 
 def apply_stage(stage: Stage, graph: GarmentGraph, features: Float[Array, "N B i"]) -> Float[Array, "N B o"]:
-    """Outputs of the stage's network in metres; zero at padded nodes."""
+    """Outputs of the stage's network in metres; zero at padded nodes.
+
+    Args:
+        stage: Network and scale.
+        graph: Of the garment.
+        features: Of its nodes.
+    """
     width = jnp.asarray(stage.net.head.weight).dtype
     # Networks of half precision compute in it (see `precision`); others follow their inputs.
     inputs = features.astype(width) if jnp.finfo(width).bits < 32 else features

@@ -57,7 +57,13 @@ def pattern_file(dressed: DressedBody, space: DesignSpace) -> bytes:
 
 
 def command_line(settings: Settings, space: DesignSpace, source: tuple[str, ...] = ()) -> str:
-    """The command that makes the same garment on the same body; `source` are options for model and body."""
+    """The command that makes the same garment on the same body; `source` are options for model and body.
+
+    Args:
+        settings: What the page shows.
+        space: The design's space.
+        source: Options for model and body.
+    """
     words = ["tryon", "drape"]
     if settings.own is None:
         words += ["--set", *(f"{name}={value:.4f}" for name, value in zip(space.names, settings.design, strict=True))]

@@ -1,4 +1,4 @@
-"""A thread that is always busy with the latest thing that was asked of it."""
+"""A thread that works on the latest request only."""
 
 import threading
 from collections.abc import Callable

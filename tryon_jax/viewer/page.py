@@ -37,7 +37,8 @@ class Page:
     """Controls and scene of one client of the server.
 
     Two threads of its own follow the controls. One drapes at once; the other then pushes the cloth out of the body and
-    measures the fit. Both work on the latest settings only, so that nobody waits for a slider that is being dragged.
+    measures the fit. Both work on the latest settings only, so that no time is spent on positions that a moving slider
+    has left.
     """
 
     def __init__(
@@ -48,6 +49,14 @@ class Page:
         own: UploadedMesh | None = None,
         source: tuple[str, ...] = (),
     ) -> None:
+        """Build the page of one visitor.
+
+        Args:
+            client: The connection of one browser.
+            model: What the page computes.
+            own: A mesh in place of a design.
+            source: Options of the command line for model and body.
+        """
         self.client = client
         self.model = model
         self.source = source
@@ -73,7 +82,7 @@ class Page:
             self._wear(own)
 
     def close(self) -> None:
-        """Stop the threads and a simulation that runs; the visitor has gone."""
+        """Stop the threads and a simulation that runs; the visitor has left."""
         self._computing.close()
         self._finishing.close()
         if self._simulation is not None:
@@ -205,7 +214,7 @@ class Page:
     # Work
 
     def _guarded(self, action: Callable[..., None], *arguments: Any) -> None:
-        """Run `action`; what is wrong with a request is said in the page."""
+        """Run `action`; errors of a request are shown in the page."""
         try:
             action(*arguments)
         except (ValueError, TypeError, OSError, ImportError) as error:

@@ -1,4 +1,4 @@
-"""What the page shows for given controls, computed and timed; knows nothing of browsers."""
+"""What the page shows for given controls, computed and timed, without a browser."""
 
 import itertools
 import threading
@@ -102,7 +102,7 @@ class PageModel:
         self.beta_ranges = model.config.beta_ranges if own_body is None else (2.0,) * count
         self._template = jax.jit(apply_mean_drape)
         self._fixed_layers: WeakKeyDictionary[PreparedGarment, dict[str, ShownMesh]] = WeakKeyDictionary()
-        # Pages share what is prepared, and one drape at a time is faster than two that fight for the processor.
+        # Pages share what is prepared, and one drape at a time is faster than two that share the processor.
         self._lock = threading.Lock()
 
     @property

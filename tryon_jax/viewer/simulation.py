@@ -31,6 +31,14 @@ class Simulation:
         on_step: Callable[[float, ShownMesh], None],
         on_end: Callable[[str], None],
     ) -> None:
+        """Prepare a simulation; nothing runs yet.
+
+        Args:
+            body: The body that is dressed.
+            result: The drape that the simulation starts from.
+            on_step: Told the progress and what to show after some steps.
+            on_end: Told in words how it ended.
+        """
         self._body = body
         self._dressed = result.dressed
         self._on_step = on_step

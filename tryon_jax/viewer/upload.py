@@ -1,4 +1,4 @@
-"""Garment meshes that visitors hand in: refused by size before they are kept, and read as any file of a stranger."""
+"""Garment meshes that visitors hand in: refused by size before they are kept, and read as untrusted files."""
 
 import tempfile
 from collections.abc import Callable

@@ -61,7 +61,7 @@ class LoweredArms:
     def raise_garment(
         self, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], rounds: int = 10
     ) -> Float[np.ndarray, "V 3"]:
-        """A garment worn by the body with lowered arms, as it lies on the T-pose, metres.
+        """A garment on the body with lowered arms, moved to the T-pose, metres.
 
         Args:
             vertices: the garment, metres.

@@ -1,4 +1,4 @@
-"""A body with a garment on it: what a session answers with."""
+"""A body with a garment on it: the result of a session."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -56,7 +56,7 @@ class DressedBody:
     garment: PreparedGarment
     fabric: str
     vertices: Float[np.ndarray, "V 3"]
-    """Of the garment as it is worn, metres."""
+    """Of the garment on the body, metres."""
     smooth: Float[np.ndarray, "V 3"]
     """After the smooth stage, metres."""
     fine: Float[np.ndarray, "V 3"]

@@ -1,4 +1,4 @@
-"""How a garment fits, in the tailor's words: ease at chest, waist and hip, tension of the cloth, and what lies inside.
+"""How a garment fits: ease at chest, waist and hip, tension of the cloth, and what lies inside the body.
 
 Host side (NumPy); the garment is a finished drape and the body stands in T-pose as when it was draped.
 """
@@ -20,7 +20,7 @@ from tryon_jax.types import ArrayLike
 EASE_AT = ("chest", "waist", "hip")
 """Where ease is measured."""
 
-# Distances up to this, metres, are exact; those beyond may be a little too large, where nobody asks.
+# Distances up to this, metres, are exact; larger ones, which no report shows, may be a little too large.
 _EXACT = 0.03
 _measure = jax.jit(measure_vertices)
 
@@ -55,7 +55,7 @@ class Fit:
 
     @property
     def too_tight(self) -> list[str]:
-        """Where the cloth pulls so hard that a real garment could not be put on."""
+        """Where the tension is so large that a real garment could not be put on."""
         return [name for name, pull in self.pull.items() if pull > MAX_TENSION]
 
     @property
@@ -152,7 +152,13 @@ def measure_fit(
 def tape_place(
     landmarks: Landmarks, name: str, body_vertices: Float[np.ndarray, "B 3"]
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Where the tape called `name` is laid on a body: the middle of its loop, metres, and the normal of its plane."""
+    """Where the tape called `name` is laid on a body: the middle of its loop, metres, and the normal of its plane.
+
+    Args:
+        landmarks: Of the body.
+        name: Of the tape, such as "chest".
+        body_vertices: Metres.
+    """
     row = GIRTHS.index(name)
     loop = body_vertices[np.asarray(landmarks.loop_index)[row]]
     middle = np.asarray(landmarks.loop_weight)[row].astype(np.float64) @ loop
@@ -165,7 +171,14 @@ def girth_round(
     inside: Float[np.ndarray, "3"],
     normal: Float[np.ndarray, "3"],
 ) -> float | None:
-    """Length of the cloth along `loop_round`, metres, folds and all; None where there is no such loop."""
+    """Length of the cloth along `loop_round`, metres, folds and all; None where there is no such loop.
+
+    Args:
+        vertices: Of the cloth, metres.
+        faces: Its triangles.
+        inside: A point inside the limb, metres.
+        normal: Unit normal of the plane through it.
+    """
     loop = loop_round(vertices, faces, inside, normal)
     return None if loop is None else loop.length(vertices[faces])
 
@@ -180,6 +193,12 @@ def loop_round(
 
     Of several curves the one that goes round `inside` counts, the longest of those. None where there is none, or where
     it meets an open border, so that the cloth does not go all the way round.
+
+    Args:
+        vertices: Of the cloth, metres.
+        faces: Its triangles.
+        inside: A point inside the limb, metres.
+        normal: Unit normal of the plane through it.
     """
     axes = plane_axes(normal)
     corners = vertices[faces]
@@ -189,7 +208,7 @@ def loop_round(
 
 
 def _pulls(tapes: dict[str, tuple[float, np.ndarray]], fabric: Fabric) -> dict[str, float]:
-    """Tension along each tape, N/m, from its stretch and its direction in the pattern; slack cloth does not pull."""
+    """Tension along each tape, N/m, from its stretch and its direction in the pattern; slack cloth has none."""
     found = {}
     for name in EASE_AT:
         # Also where there is no tape or it hangs slack: the first tight garment then finds this compiled.
@@ -216,7 +235,14 @@ def stretches(
     uv: Float[np.ndarray, "U 2"],
     faces_uv: Int[np.ndarray, "F 3"],
 ) -> Float[np.ndarray, "F 2"]:
-    """Largest and smallest principal stretch of each face from its pattern to its drape; 1 is its natural length."""
+    """Largest and smallest principal stretch of each face from its pattern to its drape; 1 is its natural length.
+
+    Args:
+        vertices: The drape, metres.
+        faces: Its triangles.
+        uv: The pattern, metres.
+        faces_uv: Entry of `uv` of every face corner.
+    """
     flat = uv[faces_uv]
     rest = np.stack([flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]], axis=2)
     corners = vertices[faces]
@@ -235,6 +261,15 @@ def pattern_of(
 
     Texture coordinates are taken for a pattern when their area is that of the mesh to within a quarter; otherwise
     every triangle is laid flat by itself, so that the mesh as it is counts as unstretched.
+
+    Args:
+        vertices: Metres.
+        faces: Triangles.
+        uv: Texture coordinates.
+        faces_uv: Entry of `uv` of every face corner.
+
+    Returns:
+        Pattern coordinates, metres, and the triangles as indices into them.
     """
     corners = vertices[faces]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

@@ -1,4 +1,4 @@
-"""The gate that every drape passes before it is shown or written: fine, a warning that names the place, or refused.
+"""The check of every drape before it is shown or written: fine, a warning that names the place, or refused.
 
 Host side. The measures and their limits are in one table, `LIMITS`. They come from the physics and from data: knitted
 cloth bears about a quarter more area before it is hard to put on; edges of simulated drapes reach 1.4 times their rest
@@ -56,7 +56,7 @@ of area over rest area; `inside`, share of the cloth inside the body before the 
 `crossing`, share of triangles that cross others; `betas`, the largest beta over the range that the weights know."""
 
 DEEP = 0.02
-"""Metres: shallower cloth, however much of it, is what the push out is for."""
+"""Metres: cloth that is less deep, however much of it, is left to the push out."""
 _MOST_FACES_CROSSED = 60_000
 
 
@@ -109,7 +109,7 @@ class Verdict:
 
 
 class Refused(ValueError):
-    """A drape that is no drape; nothing of it is written."""
+    """The drape is invalid; nothing of it is written."""
 
 
 def judge(
@@ -131,7 +131,7 @@ def judge(
         faces: its triangles.
         uv: its pattern, metres.
         faces_uv: entry of `uv` of every face corner.
-        body: what it is worn on, for the names of places.
+        body: the body under it, for the names of places.
         body_vertices: that body's vertices, metres.
         mean: the garment on the mean body, metres: edges that are long there are not stretched by the drape.
         pushed: what the push out of the body did, where there was one.
@@ -161,7 +161,7 @@ def judge(
 def judge_betas(betas: Float[np.ndarray, " b"], known: Sequence[float]) -> Verdict:
     """What is to be said of a body whose betas go beyond `known`, the range of each that the weights were trained on.
 
-    A wish within the range is fine, beyond it a warning, far beyond refused; see `LIMITS`.
+    Betas within the range pass, beyond it they are warned of, far beyond refused; see `LIMITS`.
     """
     if not len(betas) or not len(known):
         return Verdict()
@@ -212,7 +212,7 @@ class _Places:
         self._names = [_place_word(name) for name in body.joint_names]
 
     def name(self, points: Float[np.ndarray, "N 3"]) -> str:
-        """The commonest places of some vertices, such as "collar, 12 vertices"."""
+        """The most frequent places of some vertices, such as "collar, 12 vertices"."""
         if not len(points):
             return ""
         joints = self._joint[self._tree.query(points)[1]]

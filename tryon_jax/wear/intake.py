@@ -1,4 +1,4 @@
-"""A garment from anywhere taken in: read, cleaned, its cloth told from the rest, put on the mean body in T-pose."""
+"""Garments from any file: read, cleaned, cloth told from other pieces, put on the mean body in T-pose."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,7 +23,7 @@ class TakenIn:
     """A garment of a user's own on the mean body."""
 
     garment: LoadedGarment
-    """Its cloth, metres, in T-pose; with what was mended."""
+    """Its cloth, metres, in T-pose, with the repairs."""
     placement: Placement
     remarks: tuple[str, ...]
     """What was found and done, one sentence each."""
@@ -42,7 +42,7 @@ def take_in(
 
     Args:
         path: the file.
-        body: the body it is to be worn on.
+        body: the body to put it on.
         placing: what is known of the file.
         pieces: numbers from 1, the largest first, of the pieces that are cloth; found when empty.
         name: what messages call the file; its path when None.
@@ -76,7 +76,14 @@ def too_small(
     body: Body,
     landmarks: Landmarks | None = None,
 ) -> list[str]:
-    """Where a garment on the mean body does not reach round it, in words, with how much is missing."""
+    """Where a garment does not reach round the mean body, in words, and by how much.
+
+    Args:
+        vertices: Of the garment on the mean body, metres.
+        faces: Its triangles.
+        body: The body.
+        landmarks: Of the body; found when None.
+    """
     landmarks = load_landmarks(body) if landmarks is None else landmarks
     skin = np.asarray(body.v_template, np.float64)
     measured = measure_vertices(np.asarray(body.v_template, np.float32), landmarks)

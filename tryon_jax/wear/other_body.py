@@ -1,4 +1,5 @@
-"""A drape carried from the networks' body to another one, such as an SMPL file: an approximation, not a learned result.
+"""A drape transferred from the networks' body to another one, such as an SMPL file: an approximation, not a learned
+result.
 
 The networks know one body. Another body in T-pose gets the drape of that body's nearest shape (by stature and girths),
 moved along by the joints that both have, bone by bone. What then lies inside is for the push-out to mend.
@@ -27,7 +28,7 @@ _shape = jax.jit(shape_body)
 
 @dataclass(frozen=True, eq=False)
 class OtherBody:
-    """Another body with what ties it to the networks' one; made by `prepare_other_body`."""
+    """Another body with its relation to the networks' one; made by `prepare_other_body`."""
 
     body: Body
     landmarks: Landmarks
@@ -41,7 +42,7 @@ class OtherBody:
         asked = {name: float(measured[name]) for name in ALIKE}
         return np.asarray(betas_from_measurements(self.known, asked, self.known_landmarks).betas)
 
-    def carry(
+    def transfer(
         self,
         garment: Float[np.ndarray, "V 3"],
         weights: Float[np.ndarray, "V J"],
@@ -68,7 +69,12 @@ class OtherBody:
 
 
 def prepare_other_body(body: Body, known: Body, num_betas: int) -> OtherBody:
-    """Prepare `body` to wear what is draped on `known`, the networks' body, of which they see `num_betas` betas.
+    """Prepare the transfer of drapes from the networks' body to another body.
+
+    Args:
+        body: The body to be dressed.
+        known: The networks' body.
+        num_betas: Betas of `known` that the networks see.
 
     Raises:
         ValueError: the body's mesh is not closed, or it lacks a joint of `SMPL_JOINTS` or a landmark.

@@ -1,7 +1,6 @@
-"""A garment of a user's own, ready for the networks: taken in, and settled on the mean body by the simulator.
-
-The networks learned from drapes. What hangs on another body, or stands as somebody modelled it, is no drape until the
-simulator has hung it on this one.
+"""A garment of a user's own, ready for the networks: read, and settled on the mean body by the simulator. The networks
+learned from drapes. A mesh that was draped on another body, or modelled by hand, becomes a drape of this body by
+simulation.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +22,7 @@ from tryon_jax.wear.simulate import Pattern, Progress, Simulator
 SETTLE_FABRIC = "gray-interlock"
 """Softer than most: what settles in it settles in others."""
 FINEST = 6000
-"""Meshes of more vertices are settled by an evenly spaced copy, which carries them."""
+"""Meshes of more vertices move with an evenly spaced copy, which is settled in their place."""
 SETTLE_AREA = 1.78e-4
 """Mean area of the copy's triangles, square metres: that of the simulated garments."""
 

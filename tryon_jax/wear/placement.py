@@ -235,7 +235,7 @@ class _Search:
         if best is not None and best.misfit <= GOOD_MISFIT:
             return best
         out = [replace(p, arms=self.arms[0]) for p in usual]
-        hanging = [p for p in out if self.skins[p.arms].wears(p.points(self.vertices))]
+        hanging = [p for p in out if self.skins[p.arms].is_inside_of(p.points(self.vertices))]
         if hanging:
             return replace(hanging[0], misfit=0.0)
         found = [self._refined(p) for p in self._scanned(start)]
@@ -326,7 +326,7 @@ class _Skin:
         self.normals = vertex_normals(self.vertices, np.asarray(body.body.faces))
         self._tree = cKDTree(self.vertices)
 
-    def wears(self, points: Float[np.ndarray, "N 3"]) -> bool:
+    def is_inside_of(self, points: Float[np.ndarray, "N 3"]) -> bool:
         """Whether points of a garment surround the body: hardly any inside it, and half of them near."""
         distance, nearest = self._tree.query(points)
         inside = np.einsum("nc,nc->n", points - self.vertices[nearest], self.normals[nearest]) < 0

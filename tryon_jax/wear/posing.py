@@ -1,7 +1,7 @@
 """A dressed body in another pose: body and garment skinned by the same joints.
 
-The garment is draped in T-pose and carried along by linear blend skinning (Loper et al. 2015): no fold forms or
-vanishes on the way. Good for loose arms and poses near the T-pose; a bent knee under a tight skirt needs simulation.
+The garment is draped in T-pose and moved by linear blend skinning (Loper et al. 2015): no fold forms or vanishes. Good
+for loose arms and poses near the T-pose; a bent knee under a tight skirt needs simulation.
 """
 
 from dataclasses import replace
@@ -27,6 +27,11 @@ def soft_skinning(
 
     Weights of the closest body vertex jump where the closest limb changes, as in the middle of a skirt: skinned with
     them the cloth would tear between the legs.
+
+    Args:
+        weights: Skinning weights of each vertex; rows sum to 1.
+        faces: Triangles.
+        rounds: How often to average.
     """
     edges, _ = unique_edges(faces, len(weights))
     both = np.concatenate([edges, edges[:, ::-1]])

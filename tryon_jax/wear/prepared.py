@@ -48,13 +48,24 @@ class PreparedGarment:
 
 
 def prepared_design(model: TryOnModel, mesh: GarmentMesh, bucket: int | None = None) -> PreparedGarment:
-    """The garment of a mesh that `remesh` made; `bucket` is the number of nodes to pad to, see `build_graph`."""
+    """The garment of a mesh that `remesh` made.
+
+    Args:
+        model: Networks and body.
+        mesh: From `remesh`.
+        bucket: Nodes to pad to, see `build_graph`.
+    """
     garment = prepare_mesh(model, mesh, bucket=bucket)
     return PreparedGarment(garment, mesh.faces, mesh.uv, mesh.faces_uv, str(mesh.design), mesh)
 
 
 def prepared_own(model: TryOnModel, own: LoadedGarment | OwnGarment, label: str) -> PreparedGarment:
     """The garment of a user's mesh, as it hangs on the mean body.
+
+    Args:
+        model: Networks and body.
+        own: The mesh on the mean body.
+        label: What to call it.
 
     Raises:
         ValueError: The mesh is not near the mean body.

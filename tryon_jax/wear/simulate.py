@@ -1,7 +1,7 @@
 """Drapes by the simulator: a garment settled on a body, dressed from its panels, or a learned drape brought to rest.
 
-Host side, around `tryon_jax.physics`. Everything runs in pieces of some steps, after each of which progress is told and
-Ctrl-C is heard.
+Host side, around `tryon_jax.physics`. Everything runs in pieces of some steps, after each of which progress is reported
+and Ctrl-C is obeyed.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ SHAPE_STEPS = 60
 TORN = 2.0
 """A settled edge of more than this many times its rest length is torn: the fabrics bear about 1.25."""
 NEARLY = 5.0
-"""A drape this many times above the tolerance hangs still to the eye: said, and not refused."""
+"""A drape whose residual is at most this many times the tolerance looks at rest: it is reported, and not refused."""
 
 Progress = Callable[[int, float], None]
 """Told the steps done and the residual after each piece."""
@@ -84,6 +84,13 @@ class Simulator:
     def __init__(
         self, body: Body, settings: SolverSettings | None = None, equilibrium: Equilibrium | None = None
     ) -> None:
+        """Prepare the body; nothing is compiled yet.
+
+        Args:
+            body: The body.
+            settings: Of the solver; defaults when None.
+            equilibrium: When a drape counts as at rest; defaults when None.
+        """
         self.obstacle = Obstacle(body)
         self.settings = settings or SolverSettings()
         self.equilibrium = equilibrium or Equilibrium()
@@ -109,7 +116,7 @@ class Simulator:
 
         Raises:
             ValueError: steps outside 1 to 10,000, vertices that are not finite, or a rest shape that is none.
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         most = DRESSING_STEPS if steps is None else int(check_range("refine", steps, 1, 10_000, "steps"))
         cloth = _cloth(pattern, len(vertices))
@@ -127,9 +134,15 @@ class Simulator:
     ) -> Simulated:
         """A garment that lies roughly on the mean body, dressed there: pushed out of the body, then hung to rest.
 
+        Args:
+            vertices: The garment on the mean body, metres.
+            pattern: Mesh and rest shape.
+            fabric: Material.
+            progress: Told while it runs.
+
         Raises:
             NotSettled: it tears, or is far from rest when its steps are used up.
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         cloth = _cloth(pattern, len(vertices))
         drape = self._dressed(vertices, cloth, fabric, progress)
@@ -158,8 +171,15 @@ class Simulator:
     ) -> Simulated:
         """A garment dressed on the mean body from where it is laid, and carried to a body of shape `betas`.
 
+        Args:
+            panels: Where the garment is laid, metres.
+            pattern: Mesh and rest shape.
+            fabric: Material.
+            betas: Of the body's shape, standard deviations.
+            progress: Told while it runs.
+
         Raises:
-            Diverged: the simulation left the numbers.
+            Diverged: the simulation diverged: positions or forces became infinite.
         """
         cloth = _cloth(pattern, len(panels))
         drape = self._dressed(panels, cloth, fabric, progress)

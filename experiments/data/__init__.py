@@ -1,0 +1,1 @@
+"""Data sets: simulate them, describe them, print their patterns, check the simulator."""

@@ -1,0 +1,1 @@
+"""Checks of the simulator, one file for each kind; `validate_simulator` runs them."""

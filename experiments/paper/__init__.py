@@ -1,0 +1,1 @@
+"""What the paper claims, and this library's numbers beside each claim."""

@@ -1,0 +1,377 @@
+"""Accuracy: millimetres from the simulation, for the pipeline and for simpler methods."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from experiments.paper.ablation import block_ratio
+from experiments.shared.errors import Errors
+from experiments.shared.evaluate import (
+    Pipeline,
+    Stack,
+    available,
+    case_names,
+    held_out_rows,
+    load_all,
+    map_pattern,
+    open_model,
+    ray_ends,
+    rows_with,
+    spread,
+)
+from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
+from experiments.shared.record import RESULTS, publish, read_result
+from tryon_jax.contact.skin import Skin
+from tryon_jax.files.atomic import atomic_path
+from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.training.dataset import default_root, read_config
+from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.training.recipes import model_path
+from tryon_jax.training.stages import CHUNK
+from tryon_jax.tryon import load_model
+from tryon_jax.types import Body
+
+ROWS = {
+    "mean drape": "do nothing: M̄",
+    "transfer": "M̄ moved with the nearest body vertex",
+    "neighbours": "nearest training garments (kNN), no learning",
+    "neighbours, design": "the same with the design in the key",
+    "smooth, own target": "R_smooth against its own target, the smoothed simulation",
+    "smooth": "R_smooth alone: M_smooth",
+    "mean detail": "M_smooth + detail of M̄: R_fine predicting nothing",
+    "carried offset": "M_smooth + offset simulated on the mean body",
+    "pipeline": "full pipeline: M_fine",
+    "paper form": "the same in the paper's form, betas at each node, trained for as long",
+    "dressed": "full pipeline against drapes that were dressed by themselves",
+    "dressed, simulation": "the simulation against drapes that were dressed by themselves",
+    "spread": "simulator's spread between two meshes of a design: displacement",
+    "spread, drape": "simulator's spread between two meshes of a design: drape",
+    "simulation": "the simulation itself",
+}
+"""Rows of the table; "carried offset" alone needs a simulation of the garment, on the mean body."""
+TWINS = "trained topologies of that design, same shapes"
+Table = dict[str, dict[str, Errors]]
+"""Errors by row and fabric."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to compare, and how much of it."""
+
+    data: Path = field(default_factory=default_root)
+    """Folder of the simulated dataset."""
+    run: Path = Path("runs/small")
+    """Folder of the run."""
+    paper_form: Path | None = None
+    """Folder of a run in the paper's form (`train --size small-node`), measured beside it."""
+    dressed: Path | None = None
+    """Folder of a dataset whose garments were dressed by themselves (`simulate --convention dressed`): how far the
+    pipeline, and the convention that it learns, are from those."""
+    out: Path = RESULTS
+    """Folder for the record and the picture."""
+    shapes: int = 0
+    """Test shapes of each garment, evenly spread; 0 for all."""
+    garments: int = 0
+    """Garments of each case, evenly spread; 0 for all. The kNN always has all training garments."""
+    inside_shapes: int = 2
+    """Shapes of each garment whose vertices inside the body are counted."""
+    untrained: bool = False
+    """Run with stages that are not trained, to try the experiment out."""
+
+
+def main(config: Config) -> None:
+    """Measure every row of every case and print, draw and store the table."""
+    manifest = load_manifest()
+    fabrics = read_config(config.data).fabrics
+    weights = model_path(config.run)
+    model = open_model(weights, config.untrained, fabrics)
+    full, cases = case_names(config.data, manifest), case_names(config.data, manifest, config.garments)
+    # Unseen topologies are of one design: they are compared with its trained topologies on the same shapes.
+    twins = {name.rsplit("-", 1)[0] for name in full["unseen topology"]}
+    cases[TWINS] = [n for n in full["as trained"] if n.rsplit("-", 1)[0] in twins]
+    wanted_names = sorted({name for names in cases.values() for name in names})
+    garments = load_all(model, config.data, wanted_names)
+    rival = None if config.paper_form is None else Rival.load(config.paper_form, config.data, wanted_names)
+    wanted = {
+        (case, n): held_out_rows(garments[n], fabrics, config.shapes) for case, names in cases.items() for n in names
+    }
+    shared = [garments[n].betas[wanted["unseen topology", n]] for n in cases["unseen topology"]]
+    for name in cases[TWINS]:
+        every = held_out_rows(garments[name], fabrics, 0)
+        wanted[TWINS, name] = rows_with(garments[name], every, np.concatenate(shared))
+    betas = np.unique(np.concatenate([garments[n].betas[rows] for (_, n), rows in wanted.items()]), axis=0)
+    # All that any training may see, so that the kNN has all that the networks were given.
+    known = available(config.data, manifest.training_garments())
+    trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
+    neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
+    pipeline = Pipeline(model)
+    tables: dict[str, Table] = {case: {} for case in cases}
+    for case, names in cases.items():
+        for name in tqdm(names, desc=case, mininterval=2):
+            rows = wanted[case, name]
+            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes, rival)
+            measure_spread(measured, config.data, garments[name], rows, trained)
+            if config.dressed is not None and available(config.dressed, [name]):
+                measure_dressed(measured, config.dressed, garments[name], rows, pipeline, fabrics)
+            for row, by_fabric in measured.items():
+                for fabric, errors in by_fabric.items():
+                    tables[case].setdefault(row, {}).setdefault(fabric, Errors()).update(errors)
+    ablation = read_result(config.out, "ablation")
+    results = {
+        "garments": {case: len(names) for case, names in cases.items()},
+        "known_garments": len(known),
+        "held_out_block": None if ablation is None else block_ratio(ablation["results"]),
+        "table": {
+            case: {row: {fabric: e.summary() for fabric, e in by.items()} for row, by in table.items()}
+            for case, table in tables.items()
+        },
+    }
+    publish(config, "accuracy", results, markdown, draw, garments={*garments, *known}, weights=weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """Another model, with the garments prepared for it."""
+
+    pipeline: Pipeline
+    garments: Mapping[str, SimulatedGarment]
+
+    @classmethod
+    def load(cls, run: Path, root: Path, names: Sequence[str]) -> "Rival":
+        """The model of a run, and garments of a dataset."""
+        model = load_model(model_path(run))
+        return cls(Pipeline(model), load_all(model, root, names))
+
+    def __call__(self, samples: SimulatedGarment, rows: np.ndarray, fabrics: Sequence[str]) -> dict[str, Stack]:
+        """Its drapes of the samples with the given rows, by fabric."""
+        found = self.pipeline(self.garments[samples.name], rows, fabrics)
+        return {fabric: prediction.fine for fabric, prediction in found.items()}
+
+
+def measure(
+    samples: SimulatedGarment,
+    rows: np.ndarray,
+    pipeline: Pipeline,
+    neighbours: Mapping[str, NearestGarments],
+    body: Body,
+    inside_shapes: int,
+    rival: Rival | None = None,
+) -> Table:
+    """Errors of every row of the table on one garment."""
+    table: Table = {}
+    if not len(rows):
+        return table
+    count, ends = samples.garment.num_vertices, ray_ends(samples.betas[rows])
+    looked_at = spread(len(rows), inside_shapes)
+    skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
+    rivals = {} if rival is None else rival(samples, rows, list(neighbours))
+    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
+        if fabric in rivals:
+            drapes["paper form"] = rivals[fabric]
+        simulated = samples.drapes[fabric][rows, :count]
+        fine = _fine(samples, simulated)
+        for row, predicted in {**drapes, "simulation": simulated}.items():
+            errors = table.setdefault(row, {}).setdefault(fabric, Errors())
+            errors.add(vertex_distances(predicted, simulated), ends)
+            errors.inside += [skin.inside_share(predicted[k]) for skin, k in zip(skins, looked_at, strict=True)]
+            if len(rows) > 1:
+                errors.wrinkles.append(compare_wrinkles(_fine(samples, predicted), fine))
+        own = table.setdefault("smooth, own target", {}).setdefault(fabric, Errors())
+        own.add(vertex_distances(drapes["smooth"], samples.target[rows, :count]), ends)
+    return table
+
+
+def _predictions(
+    samples: SimulatedGarment, rows: np.ndarray, pipeline: Pipeline, neighbours: Mapping[str, NearestGarments]
+) -> dict[str, dict[str, Stack]]:
+    mean, count = samples.garment.mean_vertices, samples.garment.num_vertices
+    still = np.broadcast_to(mean[None], (len(rows), count, 3))
+    moved = transfer(pipeline.model, mean, samples.betas[rows])
+    detail = _fine(samples, mean[None])
+    origin = np.flatnonzero((samples.betas == 0).all(axis=1))
+    found = {}
+    for fabric, predicted in pipeline(samples, rows, list(neighbours)).items():
+        drapes = {
+            "mean drape": still,
+            "transfer": moved,
+            "neighbours": neighbours[fabric](samples, rows, with_design=False),
+            "neighbours, design": neighbours[fabric](samples, rows, with_design=True),
+            "smooth": predicted.smooth,
+            "mean detail": predicted.smooth + detail,
+            "pipeline": predicted.fine,
+        }
+        if len(origin) and samples.good[fabric][origin].all():
+            drapes["carried offset"] = predicted.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
+        found[fabric] = drapes
+    return found
+
+
+def _fine(samples: SimulatedGarment, drapes: Stack) -> Stack:
+    count = samples.garment.num_vertices
+    # Padded in shapes as well, so that few sizes are compiled.
+    size = -(-len(drapes) // CHUNK) * CHUNK
+    padded = np.zeros((size, samples.garment.graph.num_nodes, 3), np.float32)
+    padded[: len(drapes), :count] = drapes
+    return fine_part(samples.garment.smoother, padded)[: len(drapes), :count]
+
+
+def measure_spread(
+    table: Table, root: Path, here: SimulatedGarment, rows: np.ndarray, trained: Mapping[str, Mapping[str, Drapes]]
+) -> None:
+    """Distance of the simulation on another, trained mesh of the same design, at this one's vertices."""
+    mean, count = here.garment.mean_vertices, here.garment.num_vertices
+    for fabric, by_name in trained.items():
+        other = next((n for n in by_name if n.rsplit("-", 1)[0] == here.label and n != here.name), None)
+        if other is None:
+            return
+        there, onto = by_name[other], map_pattern(root, here.name, other)
+        pairs = [(k, np.flatnonzero((there.betas == here.betas[k]).all(axis=1) & there.good)) for k in rows]
+        same = [(k, j[0]) for k, j in pairs if len(j)]
+        if not same:
+            continue
+        first, second = (np.array(column) for column in zip(*same, strict=True))
+        drapes = onto(there.vertices[second])
+        moved = mean[None] + onto(there.vertices[second] - there.mean[None])
+        for row, found in (("spread", moved), ("spread, drape", drapes)):
+            errors = table.setdefault(row, {}).setdefault(fabric, Errors())
+            errors.add(vertex_distances(found, here.drapes[fabric][first, :count]), ray_ends(here.betas[first]))
+
+
+def measure_dressed(
+    table: Table, root: Path, here: SimulatedGarment, rows: np.ndarray, pipeline: Pipeline, fabrics: Sequence[str]
+) -> None:
+    """Distances from the drapes of the same mesh that were dressed by themselves."""
+    count = here.garment.num_vertices
+    predicted = pipeline(here, rows, fabrics)
+    for fabric in fabrics:
+        there = load_drapes(pipeline.model, root, here.name, fabric)
+        pairs = [
+            (k, np.flatnonzero((there.betas == here.betas[row]).all(axis=1) & there.good)) for k, row in enumerate(rows)
+        ]
+        same = [(k, found[0]) for k, found in pairs if len(found)]
+        if not same:
+            continue
+        mine, theirs = (np.array(column) for column in zip(*same, strict=True))
+        ends = ray_ends(here.betas[rows[mine]])
+        drapes = {
+            "dressed": predicted[fabric].fine[mine],
+            "dressed, simulation": here.drapes[fabric][rows[mine], :count],
+        }
+        for row, drape in drapes.items():
+            errors = table.setdefault(row, {}).setdefault(fabric, Errors())
+            errors.add(vertex_distances(drape, there.vertices[theirs]), ends)
+
+
+def markdown(results: Mapping[str, Any]) -> list[str]:
+    """The table of each case, fabrics side by side."""
+    lines = []
+    for case, rows in results["table"].items():
+        if not rows:
+            lines += [f"**{case}**: nothing simulated, not measured", ""]
+            continue
+        fabrics = list(next(iter(rows.values())))
+        lines += [
+            f"**{case}** ({results['garments'][case]} garments)",
+            "",
+            "| | "
+            + " | ".join(f"{f}: mean · p95 · ends of the range, mm" for f in fabrics)
+            + " | wrinkles ÷ simulated: total · varying (correlation) | inside the body, % |",
+            "|---|" + "---|" * (len(fabrics) + 2),
+        ]
+        for row, title in ROWS.items():
+            if row not in rows:
+                continue
+            cells = []
+            for fabric in fabrics:
+                entry = rows[row].get(fabric)
+                values = [entry[k] for k in ("mean_mm", "p95_mm", "ends_mm")] if entry else [None] * 3
+                cells.append(" · ".join(_number(v, 1 if k else 2) for k, v in enumerate(values)))
+            averaged = {
+                k: _average(rows[row], k)
+                for k in ("wrinkles_total", "wrinkles_varying", "wrinkle_correlation", "inside_percent")
+            }
+            wrinkles = "–"
+            if averaged["wrinkles_total"] is not None:
+                total, varying = _number(averaged["wrinkles_total"]), _number(averaged["wrinkles_varying"])
+                wrinkles = f"{total} · {varying} ({_number(averaged['wrinkle_correlation'])})"
+            lines.append(f"| {title} | {' | '.join(cells)} | {wrinkles} | {_number(averaged['inside_percent'])} |")
+        lines.append("")
+    return [*lines, *aims(results)]
+
+
+def aims(results: Mapping[str, Any]) -> list[str]:
+    """Each aim beside what was measured; averages over the fabrics."""
+
+    def value(case: str, row: str = "pipeline", key: str = "mean_mm") -> float | None:
+        by_fabric = results["table"].get(case, {}).get(row)
+        return None if by_fabric is None else _average(by_fabric, key)
+
+    def over_neighbours(case: str) -> float | None:
+        """Error over that of the better kNN."""
+        known = [kin for row in ("neighbours", "neighbours, design") if (kin := value(case, row)) is not None]
+        return _ratio(value(case), min(known)) if known else None
+
+    trained, unseen = value("as trained"), value("unseen design")
+    twins, topologies = value(TWINS), value("unseen topology")
+    block = results.get("held_out_block")
+    rows = [
+        ("trained design and topology, mm", trained, 0.0, 2.0),
+        ("unseen topology, mm", topologies, 0.0, 2.6),
+        ("unseen topology ÷ trained ones of that design", _ratio(topologies, twins), 0.0, 1.05),
+        ("unseen design, mm", unseen, 0.0, 3.0),
+        ("trained ÷ the better kNN", over_neighbours("as trained"), 0.0, 1.0),
+        ("unseen topology ÷ the better kNN", over_neighbours("unseen topology"), 0.0, 1.0),
+        ("unseen design ÷ the better kNN", over_neighbours("unseen design"), 0.0, 0.8),
+        ("ends of the range ÷ mean", _ratio(value("as trained", key="ends_mm"), trained), 0.0, 1.5),
+        ("held-out block of betas ÷ mean (short training, see Ablation)", block and block["ratio"], 0.0, 1.5),
+        ("unseen design: varying folds, energy ÷ simulated", value("unseen design", key="wrinkles_varying"), 0.75, 1.1),
+        ("unseen design: varying folds, correlation", value("unseen design", key="wrinkle_correlation"), 0.7, 1.0),
+    ]
+    lines = ["| aim | measured | wanted | |", "|---|---|---|---|"]
+    for title, measured, low, high in rows:
+        wanted = f"{low:g} to {high:g}" if low else f"at most {high:g}"
+        word = "not measured" if measured is None else "reached" if low <= measured <= high else "not reached"
+        lines.append(f"| {title} | {_number(measured)} | {wanted} | {word} |")
+    return lines
+
+
+def _ratio(part: float | None, whole: float | None) -> float | None:
+    return None if part is None or not whole else part / whole
+
+
+def _average(by_fabric: Mapping[str, Mapping[str, Any]], key: str) -> float | None:
+    values = [entry[key] for entry in by_fabric.values() if entry.get(key) is not None]
+    return float(np.mean(values)) if values else None
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def draw(path: Path, results: Mapping[str, Any]) -> None:
+    """Bars of the mean distance by row and case."""
+    from matplotlib.figure import Figure
+
+    cases = [case for case, rows in results["table"].items() if rows]
+    shown = [row for row in ROWS if row not in ("simulation", "smooth, own target")]
+    figure = Figure(figsize=(9, 0.9 + 0.55 * len(shown)), dpi=90, layout="constrained")
+    axis = figure.subplots()
+    height = 0.8 / max(len(cases), 1)
+    for number, case in enumerate(cases):
+        rows = results["table"][case]
+        values = [_average(rows[row], "mean_mm") if row in rows else None for row in shown]
+        at = np.arange(len(shown)) + (number - (len(cases) - 1) / 2) * height
+        bars = axis.barh(at, [v or 0.0 for v in values], 0.92 * height, label=case)
+        axis.bar_label(bars, [_number(v, 1) for v in values], padding=3, fontsize=7)
+    axis.set_yticks(np.arange(len(shown)), [ROWS[row] for row in shown], fontsize=8)
+    axis.invert_yaxis()
+    axis.set_xlabel("mm from the simulation, test shapes")
+    axis.legend(fontsize=8)
+    axis.spines[["top", "right"]].set_visible(False)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary)

@@ -1,0 +1,1 @@
+"""What several experiments use: samples and predictions, baselines without learning, records, processes."""

@@ -1,0 +1,156 @@
+"""Predictions without learning: nearest-body-vertex transfer, and the nearest training garments (kNN).
+
+The kNN predicts a vertex's displacement from the mean drape as that of the training garments' vertices that are
+closest to it in their mean drapes, interpolated to the same body shape. It reads training samples only.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
+
+from experiments.shared.evaluate import Stack, body_vertices
+from tryon_jax.garment.manifest import Manifest
+from tryon_jax.nets.mlp import apply_mean_drape
+from tryon_jax.training.dataset import STATISTICS, is_good, load_arrays, mean_path, mesh_path
+from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.training.protocol import EXTENT
+from tryon_jax.tryon import TryOnModel
+
+NEIGHBOURS = 8
+DESIGN_SCALE = 0.1
+"""Metres that a design parameter's half range counts for in the key with designs."""
+REACH = 0.3
+"""Distance between body shapes, in half axes of what the dataset covers, up to which one may stand for another."""
+_SOFTENING = 2e-3
+_WILD = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Drapes:
+    """All simulated drapes of one garment in one fabric, without the graph that networks need."""
+
+    name: str
+    mean: Float[np.ndarray, "V 3"]
+    """M̄, metres."""
+    design: Float[np.ndarray, " P"]
+    betas: Float[np.ndarray, "S b"]
+    vertices: Stack
+    good: Bool[np.ndarray, " S"]
+    test: Bool[np.ndarray, " S"]
+
+
+def load_drapes(model: TryOnModel, root: Path, name: str, fabric: str) -> Drapes:
+    """Read a garment's drapes."""
+    mesh = load_arrays(mesh_path(root, name))
+    template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(mesh["design"], jnp.float32)))
+    origin = load_arrays(mean_path(root, name, fabric))
+    rays = [load_arrays(path) for path in sorted((root / "rays").glob(f"{name}_{fabric}_*.npz"))]
+    width = model.config.num_betas
+    return Drapes(
+        name,
+        np.einsum("vk,vkc->vc", mesh["template_weights"], template[mesh["template_vertices"]]).astype(np.float32),
+        mesh["design"],
+        np.round(np.concatenate([np.zeros((1, width)), *(ray["betas"] for ray in rays)]), 6).astype(np.float32),
+        np.concatenate([origin["vertices"][None], *(ray["vertices"] for ray in rays)]),
+        np.concatenate(
+            [[is_good({k: origin[k] for k in STATISTICS})], *(is_good({k: r[k] for k in STATISTICS}) for r in rays)]
+        ),
+        np.concatenate([[False], *(ray["test"] for ray in rays)]).astype(bool),
+    )
+
+
+def transfer(model: TryOnModel, mean: Float[np.ndarray, "V 3"], betas: Float[np.ndarray, "S b"]) -> Stack:
+    """M̄ moved with the closest vertex of the mean body."""
+    nearest = cKDTree(np.asarray(model.body.v_template)).query(mean)[1]
+    moved = body_vertices(model, betas)[:, nearest] - np.asarray(model.body.v_template)[None, nearest]
+    return mean[None] + moved
+
+
+def shape_weights(known: Float[np.ndarray, "K b"], wanted: Float[np.ndarray, "S b"]) -> Float[np.ndarray, "S K"]:
+    """Weights of known body shapes that interpolate at the wanted ones; rows sum to 1.
+
+    A thin plate over the betas; the closest shape alone where the known ones do not determine one (too few, or on a
+    line).
+    """
+    distance = np.linalg.norm(wanted[:, None] - known[None], axis=-1)
+    closest = np.eye(len(known))[distance.argmin(axis=1)]
+    plane = np.column_stack([np.ones(len(known)), known])
+    if len(known) <= plane.shape[1] or np.linalg.matrix_rank(plane, tol=0.1) < plane.shape[1]:
+        return closest
+    weights = RBFInterpolator(known, np.eye(len(known)), kernel="thin_plate_spline", degree=1)(wanted)
+    wild = np.abs(weights).sum(axis=1) > _WILD
+    return np.where(wild[:, None], closest, weights)
+
+
+class NearestGarments:
+    """The training garments' displacements at given body shapes, found by position in the mean drape."""
+
+    def __init__(self, garments: Sequence[Drapes], manifest: Manifest, betas: Float[np.ndarray, "S b"]) -> None:
+        """Keeps what the training shapes of `garments` (one fabric) say about the shapes `betas`.
+
+        A garment says nothing about a shape that none of its good training shapes is near to.
+
+        Raises:
+            PermissionError: a garment's design or topology is for testing.
+        """
+        self.betas = betas
+        self._center, self._half = manifest.space.mean, 0.5 * (manifest.space.maximum - manifest.space.minimum)
+        extent = np.array(EXTENT[: betas.shape[1]])[None]
+        keys, moves, known = [], [], []
+        for drapes in garments:
+            label, seed = drapes.name.rsplit("-", 1)
+            if manifest.split(label, int(seed)) != "training":
+                raise PermissionError(f"{drapes.name} is a test garment: nothing may be learned from it")
+            rows = np.flatnonzero(drapes.good & ~drapes.test)
+            if not len(rows):
+                continue
+            shapes, wanted = drapes.betas[rows] / extent, betas / extent
+            weights = shape_weights(shapes.astype(np.float64), wanted.astype(np.float64)).astype(np.float32)
+            displacement = drapes.vertices[rows] - drapes.mean[None]
+            moves.append(np.einsum("sk,kvc->svc", weights, displacement, optimize=True))
+            near = np.linalg.norm(wanted[:, None] - shapes[None], axis=-1).min(axis=1) <= REACH
+            known.append(np.broadcast_to(near[:, None], (len(betas), len(drapes.mean))))
+            design = np.broadcast_to(self._scaled(drapes.design), (len(drapes.mean), len(self._half)))
+            keys.append(np.concatenate([drapes.mean, design], axis=1))
+        self._keys, self._moves = np.concatenate(keys), np.concatenate(moves, axis=1)
+        self._known = np.concatenate(known, axis=1)
+        self._trees: dict[tuple[bytes, int], cKDTree] = {}
+
+    def __call__(
+        self, samples: SimulatedGarment, rows: np.ndarray, with_design: bool, neighbours: int = NEIGHBOURS
+    ) -> Stack:
+        """Drapes of a garment at the shapes of its samples `rows`, which must be among those asked for."""
+        mean = samples.garment.mean_vertices
+        design = np.broadcast_to(self._scaled(np.asarray(samples.garment.design)), (len(mean), len(self._half)))
+        key = np.concatenate([mean, design], axis=1)[:, : self._width(with_design)]
+        searched: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        found = []
+        for beta in samples.betas[rows]:
+            shape = int(np.abs(self.betas - beta[None]).sum(-1).argmin())
+            # Most shapes are known of the same garments and share a tree and a search.
+            name = self._known[shape].tobytes()
+            if name not in searched:
+                known = np.flatnonzero(self._known[shape])
+                distance, index = self._tree(name, known, self._width(with_design)).query(key, k=neighbours)
+                weights = 1.0 / (distance**2 + _SOFTENING**2)
+                searched[name] = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32), known[index]
+            weights, index = searched[name]
+            found.append(mean + np.einsum("vk,vkc->vc", weights, self._moves[shape][index]))
+        return np.stack(found)
+
+    def _width(self, with_design: bool) -> int:
+        return self._keys.shape[1] if with_design else 3
+
+    def _tree(self, name: bytes, known: np.ndarray, width: int) -> cKDTree:
+        if (name, width) not in self._trees:
+            self._trees[name, width] = cKDTree(self._keys[known, :width])
+        return self._trees[name, width]
+
+    def _scaled(self, design: np.ndarray) -> np.ndarray:
+        return DESIGN_SCALE * (design - self._center) / self._half

@@ -1,0 +1,60 @@
+"""Train everything, from a data set to a model: R_mean, R_smooth, R_fine of each fabric, the collision step."""
+
+import os
+from contextlib import nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+from experiments.shared.pool import open_pool
+from experiments.train import train_collisions, train_fine, train_mean, train_smooth
+from tryon_jax.nets.config import Size
+from tryon_jax.training.collisions import CollisionOptions
+from tryon_jax.training.dataset import default_root
+from tryon_jax.training.recipes import StageOptions
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where from, where to, and how long; a stopped run continues."""
+
+    data: Path = field(default_factory=default_root)
+    """Folder of the simulated dataset."""
+    run: Path = Path("runs/small")
+    """Folder of the run; the model is run/model.safetensors."""
+    size: Size = "small"
+    """Configuration of the networks; with -node in the paper's form, with the betas at each node."""
+    reference: Literal["smoothed", "paper"] = "smoothed"
+    """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
+    smooth_steps: int = 6000
+    """Steps of R_smooth's training."""
+    fine_steps: int = 12000
+    """Steps of R_fine's, for each fabric."""
+    collision_steps: int = 2000
+    """Steps of the collision step, for each fabric; none leave it out."""
+    shapes: int = 16
+    """Body shapes of each garment in a batch."""
+    evaluate_every: int = 1000
+    """Steps from one validation to the next."""
+    processes: int = min(2, os.cpu_count() or 1)
+    """Fabrics that are trained side by side, one core each; 1 uses all cores for one after the other."""
+
+
+def main(config: Config) -> None:
+    """Run the stages; those that are done already take no time."""
+    if not (config.run / "mean" / "curve.json").exists():
+        train_mean.main(train_mean.Config(config.data, config.run, config.size, config.reference))
+    train_smooth.main(train_smooth.Config(config.data, config.run, _options(config, config.smooth_steps)))
+    with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
+        train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, config.fine_steps)), pool)
+        if config.collision_steps:
+            step = CollisionOptions()
+            every = min(step.loop.evaluate_every, config.collision_steps)
+            step = replace(step, loop=replace(step.loop, steps=config.collision_steps, evaluate_every=every))
+            train_collisions.main(train_collisions.Config(config.run, (), config.data, step), pool)
+
+
+def _options(config: Config, steps: int) -> StageOptions:
+    default = StageOptions()
+    loop = replace(default.loop, steps=steps, evaluate_every=min(config.evaluate_every, steps))
+    return replace(default, loop=loop, shapes=config.shapes)

@@ -1,0 +1,40 @@
+"""`experiments widen`: the same drapes from larger networks, in a run of its own."""
+
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from experiments.train.widen import Config, main
+from tryon_jax.nets.store import read_record
+from tryon_jax.training.recipes import model_path
+from tryon_jax.tryon import drape, load_model, prepare
+
+SHIPPED = resources.files("tryon_jax") / "data" / "models" / "small.safetensors"
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    with resources.as_file(SHIPPED) as shipped:
+        run = tmp_path_factory.mktemp("widen") / "wide"
+        widths = load_model(shipped).config
+        config = Config(
+            shipped, run, tuple(w + 4 for w in widths.smooth.widths), tuple(w + 2 for w in widths.fine.widths)
+        )
+        main(config)
+        yield config
+
+
+def test_drapes_and_the_record_of_training_are_kept(config):
+    before, after = load_model(config.model), load_model(model_path(config.run))
+    assert (after.config.smooth.widths, after.config.fine.widths) == (config.smooth, config.fine)
+    betas = np.array([[1.0, -0.5]], np.float32)
+    for fabric in before.config.fabrics:
+        expected = drape(before, prepare(before, "tank"), betas, fabric=fabric)
+        np.testing.assert_allclose(drape(after, prepare(after, "tank"), betas, fabric=fabric), expected, atol=2e-5)
+    assert read_record(model_path(config.run))["training"] == read_record(config.model)["training"]
+
+
+def test_a_run_that_has_begun_is_not_overwritten(config):
+    with pytest.raises(FileExistsError, match="begins a run of its own"):
+        main(config)
