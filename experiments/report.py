@@ -72,6 +72,10 @@ SECTIONS = {
         "Mesh density",
         "The paper keeps the mean triangle area of its meshes constant. Here it varies sixteenfold.",
     ),
+    "refine": (
+        "Learned drapes refined by the simulator",
+        "`tryon drape --refine`: the learned drape as the start of the solver. The paper has no such step.",
+    ),
     "ablation": (
         "Ablation",
         "What the paper's parts and this library's choices are worth. The paper has no such table.",

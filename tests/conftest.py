@@ -1,5 +1,6 @@
 """Settings of every test: strict shapes, strict broadcasting, reproducible properties."""
 
+import os
 from collections.abc import Iterator
 
 import hypothesis
@@ -7,6 +8,9 @@ import jax
 import jaxtyping
 import pytest
 from jaxtyping import install_import_hook
+
+# Tests neither read nor fill the compiled programs of whoever runs them.
+os.environ.pop("TRYON_JAX_CACHE", None)
 
 # Before anything of the library is imported: every jaxtyping annotation in it becomes a runtime check.
 install_import_hook("tryon_jax", "runtime_types.check")

@@ -18,20 +18,22 @@ from pathlib import Path
 import tyro
 
 import tryon_jax
+from tryon_jax.files.compile_cache import keep_compiled_programs
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run `tryon` with `argv` (the process's arguments by default) and return the exit code."""
-    return dispatch("tryon", "tryon_jax.commands", argv)
+    return dispatch("tryon", "tryon_jax.commands", argv, keep_compiled=True)
 
 
-def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
+def dispatch(prog: str, package: str, argv: Sequence[str] | None = None, keep_compiled: bool = False) -> int:
     """Run the module of `package` that the first argument names, with its `Config` made from the others.
 
     Args:
         prog: what the program is called in messages.
         package: the package whose modules with a function `main(config)` are the commands, in folders or not.
         argv: arguments, by default the process's.
+        keep_compiled: keep compiled programs for the next run.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     commands = find_commands(package)
@@ -53,7 +55,7 @@ def dispatch(prog: str, package: str, argv: Sequence[str] | None = None) -> int:
         kind = "option" if name.startswith("-") else "command"
         print(f"{prog}: error: unknown {kind} {name!r}{hint}; known: {', '.join(commands)}", file=sys.stderr)
         return 2
-    return _run(f"{prog} {name}", commands[name].module, rest)
+    return _run(f"{prog} {name}", commands[name].module, rest, keep_compiled)
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,10 @@ def _overview(prog: str, commands: dict[str, Command]) -> str:
     return "\n".join(lines)
 
 
-def _run(prog: str, module_name: str, arguments: list[str]) -> int:
+def _run(prog: str, module_name: str, arguments: list[str], keep_compiled: bool) -> int:
     try:
+        if keep_compiled and not {"-h", "--help"} & set(arguments):
+            keep_compiled_programs()
         module = importlib.import_module(module_name)
         # Options that may be left out are left out, and never given as "None".
         markers = (tyro.conf.DisallowNone, tyro.conf.OmitArgPrefixes)

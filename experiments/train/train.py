@@ -26,7 +26,7 @@ class Config:
     """Configuration of the networks; with -node in the paper's form, with the betas at each node."""
     reference: Literal["smoothed", "paper"] = "smoothed"
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
-    smooth_steps: int = 6000
+    smooth_steps: int = 4000
     """Steps of R_smooth's training."""
     fine_steps: int = 12000
     """Steps of R_fine's, for each fabric."""

@@ -57,7 +57,10 @@ def test_values_at_other_shapes(width: int) -> None:
     rng = np.random.default_rng(2)
     known = rng.uniform(-1, 1, (60, width))
     wanted = rng.uniform(-0.8, 0.8, (20, width))
-    smooth = lambda points: np.column_stack([points.sum(axis=1), np.sin(points).prod(axis=1)])
+
+    def smooth(points):
+        return np.column_stack([points.sum(axis=1), np.sin(points).prod(axis=1)])
+
     np.testing.assert_allclose(spread_over_shapes(known, smooth(known), wanted), smooth(wanted), atol=0.03)
     on_a_line = np.repeat(known[:, :1], width, axis=1)
     assert np.isfinite(spread_over_shapes(on_a_line, smooth(known), wanted)).all()
@@ -73,7 +76,10 @@ def test_perceptron_gives_drapes_at_shapes_that_were_not_simulated() -> None:
     fields = rng.normal(size=(3, count, 3)).astype(np.float32)
     angle, radius = np.meshgrid(np.arange(8) * np.pi / 4, np.linspace(0.25, 1.0, 4), indexing="ij")
     betas = np.column_stack([(3 * radius * np.cos(angle)).ravel(), (2 * radius * np.sin(angle)).ravel()])
-    weights = lambda b: np.column_stack([b[:, 0], b[:, 1], 0.3 * b[:, 0] * b[:, 1]])
+
+    def weights(b):
+        return np.column_stack([b[:, 0], b[:, 1], 0.3 * b[:, 0] * b[:, 1]])
+
     base = np.asarray(garment.graph.vertices)
     drapes = (base[None] + 0.01 * np.einsum("sk,knc->snc", weights(betas), fields)).astype(np.float32)
     every = np.ones(len(betas), bool)

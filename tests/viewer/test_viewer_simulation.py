@@ -43,3 +43,24 @@ def test_what_goes_wrong_is_said(page):
     Simulation(page.session.body, broken, lambda *_: None, words.append).join(60)
     assert words[0].startswith("the simulation failed")
     assert "silk" in words[0]
+
+
+@pytest.mark.slow
+def test_a_drape_is_refined_or_left_when_it_is_cancelled(page):
+    result = page.compute(page.start())
+    shares, words = [], []
+    refining = Simulation(page.session.body, result, lambda share, _: shares.append(share), words.append, page.session)
+    refining.cancel()
+    refining.join(400)
+    assert words == ["cancelled"]
+    shapes = []
+
+    def step(share, mesh):
+        shares.append(share)
+        shapes.append(mesh.vertices)
+
+    Simulation(page.session.body, result, step, words.append, page.session).join(400)
+    assert words[1].startswith("refined in")
+    assert shares[-1] == 1.0
+    # The flat panels have fallen onto the body.
+    assert np.linalg.norm(shapes[-1] - result.dressed.vertices, axis=1).mean() > 0.01

@@ -106,7 +106,7 @@ REFUSED = {
     "not a number": (text(obj(SHIRT, FACES).replace("v ", "v nan ", 1)), "must be finite|cannot be read"),
     "binary glTF of nonsense": (text(b"glTF nonsense", ".glb"), "cannot be read"),
     "Draco": (text(b"glTF KHR_draco_mesh_compression", ".glb"), "Draco"),
-    "mhclo": (text("basemesh hm08", ".mhclo"), "MakeHuman"),
+    "a binding of nothing": (text("basemesh hm08", ".mhclo"), "binds no vertices"),
     "fbx": (text("x", ".fbx"), "unknown mesh format"),
     "no suffix": (text("x", ""), "unknown mesh format"),
     "a triangle": (text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), "fits nowhere"),

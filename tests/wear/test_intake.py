@@ -151,10 +151,6 @@ def test_too_small_a_garment_is_told_by_how_much(tmp_path: Path) -> None:
 
 
 def test_files_that_are_known_and_not_read(tmp_path: Path) -> None:
-    bound = tmp_path / "suit.mhclo"
-    bound.write_text("basemesh hm08\nobj_file suit.obj\n")
-    with pytest.raises(ValueError, match=r"MakeHuman's base mesh, which is not part of this package; give the \.obj"):
-        take_in(bound, BODY)
     squeezed = tmp_path / "squeezed.glb"
     squeezed.write_bytes(b'glTF{"extensionsRequired":["KHR_draco_mesh_compression"]}')
     with pytest.raises(ValueError, match="compressed with Draco, which is not supported: export it without"):

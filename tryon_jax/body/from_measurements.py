@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 from jaxtyping import Array, Float
 
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
@@ -103,6 +102,9 @@ def _solve(
         misses = weights * (_measure(body, landmarks, betas) - targets)
         beyond = jnp.maximum(jnp.abs(betas) - _LIMIT, 0)
         return jnp.concatenate([misses, _PRIOR * betas, _WALL * beyond])
+
+    # Imported where it is needed: it takes half a second to load, and most programs ask for no measurements.
+    import optimistix as optx
 
     solver = optx.LevenbergMarquardt(rtol=1e-3, atol=1e-3)
     start = jnp.zeros(body.num_betas, targets.dtype)

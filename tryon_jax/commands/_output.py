@@ -14,6 +14,7 @@ from tryon_jax.render import render_picture
 from tryon_jax.render.camera import view_angle
 from tryon_jax.render.fit_maps import MAPS, map_colors
 from tryon_jax.render.image import check_picture_path
+from tryon_jax.render.mannequin import mannequin_colors
 from tryon_jax.render.picture import check_height
 from tryon_jax.wear.dressed import PARTS, DressedBody
 
@@ -80,6 +81,7 @@ class Target:
                         (dressed.vertices, dressed.faces),
                         views=output.views,
                         height=output.height,
+                        body_colors=mannequin_colors(dressed.body.body),
                         **options,
                     )
             if self.report is not None:

@@ -20,6 +20,7 @@ from tryon_jax.commands._say import say
 from tryon_jax.files.atomic import together, write_text
 from tryon_jax.files.export import SKIN, mesh_part, write_mesh
 from tryon_jax.render import render_picture
+from tryon_jax.render.mannequin import mannequin_colors
 from tryon_jax.types import Body
 
 
@@ -59,7 +60,13 @@ def main(config: Config) -> None:
         if config.out is not None:
             write_mesh(config.out, [mesh_part("body", vertices, faces, material=SKIN)])
         if config.picture is not None:
-            render_picture(config.picture, (vertices, faces), views=config.views, height=config.height)
+            render_picture(
+                config.picture,
+                (vertices, faces),
+                views=config.views,
+                height=config.height,
+                body_colors=mannequin_colors(body),
+            )
         if config.report is not None:
             record = {"body": body.name, "betas": [float(beta) for beta in betas], "measurements": measured}
             write_text(config.report, json.dumps(record, indent=2) + "\n")

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import qmc
 
 from tryon_jax.checks import check_choice, check_finite, check_range
 from tryon_jax.garment.layout import Layout
@@ -116,6 +115,9 @@ class DesignSpace:
     def sample(self, count: int, seed: int) -> list[Design]:
         """`count` designs spread evenly over the space: a Sobol sequence scrambled by `seed`."""
         check_range("number of designs", count, 1, 2**20)
+        # Imported where it is needed: it takes longer to load than everything else here.
+        from scipy.stats import qmc
+
         unit = qmc.Sobol(len(self.names), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(count))))
         table = qmc.scale(unit[:count], self.minimum, self.maximum)
         return [Design(self.names, row) for row in table]

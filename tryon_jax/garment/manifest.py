@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
-from scipy.stats import qmc
 
 from tryon_jax.checks import check_choice
 from tryon_jax.garment.design import Design, DesignSpace, load_design_space
@@ -89,6 +88,9 @@ def load_manifest() -> Manifest:
 
 def _spread(space: DesignSpace, unseen: tuple[Design, ...], count: int, clearance: float) -> tuple[Design, ...]:
     """Designs evenly over a space, in whole centimetres, none within `clearance` metres of an unseen one."""
+    # Imported where it is needed: it takes longer to load than everything else here.
+    from scipy.stats import qmc
+
     far = np.stack([design.values for design in unseen])
     designs: list[Design] = []
     for point in qmc.Sobol(len(space.names), scramble=False).random_base2(int(np.ceil(np.log2(4 * count)))):

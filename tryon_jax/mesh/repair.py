@@ -131,7 +131,7 @@ def read_triangles(
     suffix = file.suffix.lower()
     if suffix == ".mhclo":
         raise ValueError(
-            f"garment {str(file)!r} is bound to vertices of MakeHuman's base mesh, which is not part of this package; "
+            f"garment {str(file)!r} is bound to a body: `tryon drape --garment` and `Session.bring` put it on one; or "
             "give the .obj beside it, which is placed by its shape"
         )
     check_choice("mesh format", suffix, FORMATS)

@@ -112,8 +112,8 @@ def paper_form(config: TryOnConfig) -> TryOnConfig:
 
 
 SMALL = TryOnConfig(
-    smooth=UNetConfig(widths=(48, 64, 96, 128, 160)),
-    fine=UNetConfig(widths=(64, 96, 128, 192)),
+    smooth=UNetConfig(widths=(64, 96, 128, 160, 192)),
+    fine=UNetConfig(widths=(96, 144, 192, 256)),
 )
 """Trains and runs on a CPU."""
 

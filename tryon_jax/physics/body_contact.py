@@ -88,8 +88,31 @@ def contact_forces(
         margin: The stiffness is that of a contact so much deeper, metres, so that Newton's steps do not overshoot the
             hardening.
     """
-    points = sample_points(x, cloth)
-    point = point_on_faces(surface, points, follow_faces(surface, points, face))
+    followed = follow_faces(surface, sample_points(x, cloth), face)
+    return contact_at_faces(x, followed, cloth, fabric, surface, law, margin)
+
+
+def contact_at_faces(
+    x: Float[Array, "V 3"],
+    face: Int[Array, " S"],
+    cloth: Cloth,
+    fabric: Fabric,
+    surface: Surface,
+    law: ContactLaw,
+    margin: Scalar,
+) -> Contact:
+    """`contact_forces` with each sample's body face as given: differentiable in all but the faces.
+
+    Args:
+        x: Vertices, metres.
+        face: The body face that each sample touches.
+        cloth: Rest state.
+        fabric: Material.
+        surface: The body.
+        law: Constants of contact.
+        margin: As in `contact_forces`.
+    """
+    point = point_on_faces(surface, sample_points(x, cloth), face)
     # Vertices and face centres share the area evenly: both must be held off, neither counts double.
     areas = 0.5 * jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     thickness = jnp.asarray(fabric.thickness, x.dtype)

@@ -176,6 +176,22 @@ def _assemble(
     return _System(blocks, right, gradient, contact, slip, tangent, motion, jnp.asarray(mass))
 
 
+def tangent_blocks(
+    state: ClothState, cloth: Cloth, fabric: Fabric, surface: Surface, settings: SolverSettings
+) -> Float[Array, "V K 3 3"]:
+    """Blocks of the positive definite matrix that a step from `state` solves with, N/m.
+
+    Args:
+        state: Where the cloth is.
+        cloth: Rest state.
+        fabric: Material.
+        surface: The body.
+        settings: Of the solver.
+    """
+    still, free = jnp.zeros_like(surface.vertices), jnp.zeros_like(state.x[:, 0])
+    return _assemble(state, cloth, fabric, surface, settings, still, free, None).blocks
+
+
 def step(
     state: ClothState,
     cloth: Cloth,

@@ -13,6 +13,7 @@ from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, scale_height, to_image
 from tryon_jax.render.scene import Scene, build_scene, srgb_value
 from tryon_jax.render.shade import Frame, render_view
+from tryon_jax.render.smooth_border import smooth_border
 from tryon_jax.types import ArrayLike
 
 Mesh = tuple[ArrayLike, ArrayLike]
@@ -101,12 +102,11 @@ def draw(
     check_height(height)
     angles = [view_angle(view) for view in views]
     clean = _checked("body", body)
-    scene = build_scene(
-        clean,
-        None if garment is None else _checked("garment", garment),
-        np.asarray(body_colors, np.float64),
-        np.asarray(garment_colors, np.float64),
-    )
+    cloth, paint = None, np.asarray(garment_colors, np.float64)
+    if garment is not None:
+        vertices, faces, of_vertices = smooth_border(*_checked("garment", garment), paint if paint.ndim == 2 else None)
+        cloth, paint = (vertices, faces), paint if of_vertices is None else of_vertices
+    scene = build_scene(clean, cloth, np.asarray(body_colors, np.float64), paint)
     if focus is None:
         focus = focus_points(body, garment, crop)
     return srgb_value(_film(_views(scene, angles, focus, height)))

@@ -93,7 +93,8 @@ class Controls:
 
     def _add_simulation(self, gui: GuiApi) -> None:
         with gui.add_folder("Compare with a simulation", expand_by_default=False):
-            self.simulate = gui.add_button("simulate this garment")
+            self.refine = gui.add_button("refine this drape", hint="Brings the learned drape to rest by simulation.")
+            self.simulate = gui.add_button("simulate this garment", hint="Dresses it anew, without the networks.")
             self.cancel = gui.add_button("cancel", visible=False)
             self.progress = gui.add_progress_bar(0.0, visible=False)
             self.outcome = gui.add_markdown("")

@@ -4,6 +4,7 @@ import shlex
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from tryon_jax.garment import DesignSpace
 from tryon_jax.garment.svg import pattern_svg
 from tryon_jax.render import render_picture
 from tryon_jax.render.fit_maps import MAPS, map_colors
+from tryon_jax.render.mannequin import mannequin_colors
 from tryon_jax.viewer.page_model import Settings
 from tryon_jax.wear.dressed import DressedBody
 
@@ -42,9 +44,9 @@ def mesh_file(dressed: DressedBody, suffix: str) -> bytes:
 
 def picture_file(dressed: DressedBody, colors: str | None = None) -> bytes:
     """A PNG of the garment from three sides, coloured by the map of that name."""
-    options = {}
+    options: dict[str, Any] = {"body_colors": mannequin_colors(dressed.body.body)}
     if colors is not None and dressed.fit is not None:
-        options = {"garment_colors": map_colors(dressed.fit, colors), "scale": MAPS[colors]}
+        options |= {"garment_colors": map_colors(dressed.fit, colors), "scale": MAPS[colors]}
     body, garment = (dressed.body.vertices, dressed.body.faces), (dressed.vertices, dressed.faces)
     return through_file(".png", lambda path: render_picture(path, body, garment, **options))
 

@@ -125,7 +125,8 @@ class Page:
             self._on_change(handle, self._draw)
         controls.upload.on_upload(lambda event: self._guarded(self._take_upload, event.target.value))
         self._on_click(controls.to_pattern, self._wear, None)
-        self._on_click(controls.simulate, self._start_simulation)
+        self._on_click(controls.simulate, self._start_simulation, False)
+        self._on_click(controls.refine, self._start_simulation, True)
         self._on_click(controls.cancel, self._cancel_simulation)
         makers: tuple[tuple[str, Callable[[DressedBody], bytes]], ...] = (
             ("garment.glb", lambda dressed: mesh_file(dressed, ".glb")),
@@ -306,6 +307,8 @@ class Page:
         if result.dressed.pushed is not None:
             before = 100 * result.dressed.pushed.inside_before
             lines.append(f"pushed out: {before:.1f} % of the cloth had been inside")
+        if result.dressed.verdict is not None:
+            lines += [f"**{line}**" for line in result.dressed.verdict.lines()]
         controls.report.content = "  \n".join(lines)
         times = [f"{name}: {1000 * seconds:.0f} ms" for name, seconds in result.seconds.items()]
         controls.times.content = "  \n".join([*times, f"**slider to drape: {1000 * self._waited:.0f} ms**"])
@@ -318,17 +321,24 @@ class Page:
 
     # Simulation
 
-    def _start_simulation(self) -> None:
+    def _start_simulation(self, refine: bool) -> None:
         if self.result is None or (self._simulation is not None and self._simulation.running):
             return
-        self.controls.simulate.disabled = True
+        self.controls.simulate.disabled = self.controls.refine.disabled = True
         self.controls.cancel.visible = self.controls.progress.visible = True
         self.controls.progress.value = 0.0
-        self.controls.outcome.content = "dressing the mean body …"
+        self.controls.outcome.content = "bringing the drape to rest …" if refine else "dressing the mean body …"
         # Step back so that both bodies are seen.
         self.client.camera.position = (_BESIDE / 2, 0.2, 4.6)
         self.client.camera.look_at = (_BESIDE / 2, -0.05, 0.0)
-        self._simulation = Simulation(self.model.session.body, self.result, self._simulation_step, self._simulation_end)
+        session = self.model.session
+        self._simulation = Simulation(
+            session.body,
+            self.result,
+            self._simulation_step,
+            self._simulation_end,
+            session if refine else None,
+        )
 
     def _cancel_simulation(self) -> None:
         if self._simulation is not None:
@@ -345,5 +355,5 @@ class Page:
 
     def _simulation_end(self, words: str) -> None:
         self.controls.outcome.content = words
-        self.controls.simulate.disabled = False
+        self.controls.simulate.disabled = self.controls.refine.disabled = False
         self.controls.cancel.visible = self.controls.progress.visible = False

@@ -133,14 +133,14 @@ class PageModel:
         return Result(settings, dressed, self._layers(dressed), watch.seconds)
 
     def finish(self, result: Result) -> Result:
-        """The result with its drape pushed out of the body, where that is asked for, and with the fit."""
+        """The result with its drape pushed out of the body, where that is asked for, with the fit and the verdict."""
         dressed = result.dressed
         if dressed.fit is not None:
             return result
         watch = Stopwatch()
         if result.settings.push_out:
             dressed = self.session.push_out(dressed, stopwatch=watch)
-        dressed = self.session.measure(dressed, stopwatch=watch)
+        dressed = self.session.judge(dressed, stopwatch=watch)
         layers = result.layers | {"drape": ShownMesh(dressed.vertices, dressed.faces)}
         return replace(result, dressed=dressed, layers=layers, seconds=result.seconds | watch.seconds)
 

@@ -12,6 +12,7 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.types import Body
 from tryon_jax.viewer.page_model import Result, ShownMesh
+from tryon_jax.wear.session import Session
 
 SHAPES = 6
 """Body shapes on the straight way from the mean body to the one that is asked for."""
@@ -19,6 +20,12 @@ PIECE = 20
 """Steps between two reports of the progress; cancelling takes effect there."""
 _DRESSING = 20
 _SHAPE = 6
+_REFINING = 200
+"""Steps after which a refinement is about done, for the progress bar."""
+
+
+class _Cancelled(Exception):
+    """The visitor does not want to wait."""
 
 
 class Simulation:
@@ -30,6 +37,7 @@ class Simulation:
         result: Result,
         on_step: Callable[[float, ShownMesh], None],
         on_end: Callable[[str], None],
+        refine: Session | None = None,
     ) -> None:
         """Prepare a simulation; nothing runs yet.
 
@@ -38,7 +46,9 @@ class Simulation:
             result: The drape that the simulation starts from.
             on_step: Told the progress and what to show after some steps.
             on_end: Told in words how it ended.
+            refine: Brings the learned drape to rest; without it the garment is dressed anew, from its panels.
         """
+        self._refiner = refine
         self._body = body
         self._dressed = result.dressed
         self._on_step = on_step
@@ -62,10 +72,25 @@ class Simulation:
 
     def _run(self) -> None:
         try:
-            words = self._simulate()
+            words = self._simulate() if self._refiner is None else self._refine(self._refiner)
+        except _Cancelled:
+            words = "cancelled"
         except Exception as error:  # Said in the page, whatever it was.
             words = f"the simulation failed: {error}"
         self._on_end(words)
+
+    def _refine(self, session: Session) -> str:
+        start = time.perf_counter()
+
+        def progress(steps: int, _: float) -> None:
+            if self._cancelled.is_set():
+                raise _Cancelled
+            self._on_step(min(1.0, steps / _REFINING), ShownMesh(self._dressed.vertices, self._dressed.faces))
+
+        refined = session.refine(self._dressed, progress=progress)
+        self._on_step(1.0, ShownMesh(refined.vertices, refined.faces))
+        assert refined.simulated is not None
+        return f"refined in {time.perf_counter() - start:.1f} s: {refined.simulated.words()}"
 
     def _simulate(self) -> str:
         start = time.perf_counter()

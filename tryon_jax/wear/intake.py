@@ -14,6 +14,7 @@ from tryon_jax.mesh.pieces import choose_cloth
 from tryon_jax.mesh.repair import LoadedGarment, clean_mesh, read_triangles, refuse_holes
 from tryon_jax.types import Body
 from tryon_jax.wear.arms import LoweredArms
+from tryon_jax.wear.bound import SUFFIX, read_bound
 from tryon_jax.wear.fit import EASE_AT, girth_round, tape_place
 from tryon_jax.wear.placement import Placement, Placing, place
 
@@ -36,7 +37,7 @@ def take_in(
     pieces: Sequence[int] = (),
     name: str | None = None,
 ) -> TakenIn:
-    """Read a garment from an OBJ, GLB, glTF or PLY file and put it on the mean shape of `body`.
+    """Read a garment from an OBJ, GLB, glTF, PLY or .mhclo file and put it on the mean shape of `body`.
 
     Unit, vertical axis, facing, origin and the arms' angle are found where `placing` does not give them, and said.
 
@@ -55,19 +56,26 @@ def take_in(
     placing = placing or Placing()
     placing.check()
     called = str(path) if name is None else name
-    vertices, faces, uv = read_triangles(path)
+    bound = Path(path).suffix.lower() == SUFFIX
+    if bound and placing != Placing():
+        raise ValueError(f"{called} says itself how it lies on the body: leave unit, axis, turn, offset and pose out")
+    vertices, faces, uv = read_bound(path, body) if bound else read_triangles(path)
     clean = clean_mesh(vertices, faces, uv, called)
     cloth, left_out = choose_cloth(clean.pieces, pieces, called)
     garment = replace(clean, pieces=tuple(cloth))
     points, triangles = garment.joined()
-    placement = place(points, vertex_normals(points, triangles), body, placing, called)
+    if bound:
+        placement = Placement("m", 1.0, "y", 0, np.zeros(3), 0.0, 0.0)
+    else:
+        placement = place(points, vertex_normals(points, triangles), body, placing, called)
     placed = placement.points(points)
     raised = LoweredArms(body, placement.arms).raise_garment(placed, triangles)
     garment = garment.moved(raised)
     for piece in garment.pieces:
         refuse_holes(piece, called)
     tight = too_small(*garment.joined(), body)
-    return TakenIn(garment, placement, (*clean.repairs, *left_out, *placement.words(), *tight))
+    said = ("put it on the body by its binding to MakeHuman's base mesh",) if bound else placement.words()
+    return TakenIn(garment, placement, (*clean.repairs, *left_out, *said, *tight))
 
 
 def too_small(
