@@ -41,7 +41,10 @@ def test_the_pipelines_error_is_the_distance_that_the_drapes_were_moved(known, t
             # A constant offset has no folds.
             assert found["pipeline"]["wrinkles_total"] == pytest.approx(1.0, abs=1e-3)
             if offset == 0.0:
-                assert found["pipeline"]["inside_percent"] == found["simulation"]["inside_percent"]
+                # Rounding may move one of a hundred vertices across the skin.
+                assert found["pipeline"]["inside_percent"] == pytest.approx(
+                    found["simulation"]["inside_percent"], abs=1
+                )
             assert found["dressed"]["mean_mm"] == pytest.approx(3.0, abs=1e-3)
             assert found["dressed, simulation"]["mean_mm"] == pytest.approx(np.hypot(offset, 3.0), abs=1e-3)
 
