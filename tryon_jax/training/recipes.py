@@ -39,6 +39,7 @@ from tryon_jax.training.collisions import (
     with_fine,
 )
 from tryon_jax.training.dataset import read_config
+from tryon_jax.training.drapes import has_drapes
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
 from tryon_jax.training.loop import LoopOptions, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
@@ -97,13 +98,13 @@ def training_names(root: Path, manifest: Manifest, designs: str = "all") -> list
     """Garments of a dataset that may be trained on and whose drapes on the mean body are there."""
     fabrics = read_config(root).fabrics
     names = manifest.training_garments(additional=designs == "all")
-    return [n for n in names if all((root / "mean" / f"{n}_{fabric}.npz").exists() for fabric in fabrics)]
+    return [n for n in names if has_drapes(root, n, fabrics)]
 
 
 def dataset_checksum(root: Path, names: Sequence[str]) -> str:
     """SHA-256 over the contents of the files that a training run on these garments reads."""
     digest = hashlib.sha256((root / "config.json").read_bytes())
-    for folder in ("meshes", "mean", "rays", "templates"):
+    for folder in ("meshes", "mean", "rays", "packed", "templates"):
         for path in sorted((root / folder).glob("[!.]*.npz")):
             if folder == "templates" or path.stem.split("_")[0] in names:
                 digest.update(f"{folder}/{path.name}:".encode() + hashlib.sha256(path.read_bytes()).digest())
