@@ -18,11 +18,15 @@ ABOUT = {
     "Chebyshev layer": "One convolution from 64 to 64 features (`small`) or 168 to 168 (`paper`), without activation.",
     "U-Net forward": "Displacements of R_smooth for a batch of body shapes of one garment.",
     "U-Net gradient": "Loss and its gradient by all weights of R_smooth.",
-    "drape": "Both U-Nets, from betas to vertices, as `tryon_jax.drape` is called.",
+    "drape with fields": "Both U-Nets once for the garment, then the sum of their fields for every body, as "
+    "`tryon_jax.drape` is called.",
+    "drape": "The paper's form, betas at each node: both U-Nets for every body, as `tryon_jax.drape` is called.",
     "training step": "Gradient and AdamW of R_smooth.",
     "collision loss": "Shaped bodies, closest vertices, loss, and gradient by the garments' vertices.",
     "solver step": "One implicit step of the cloth solver with its linear solve, for a batch of states of one garment.",
+    "side by side": "The same as a full equilibrium, so many bodies in lanes of one mapped solve.",
     "full equilibrium": "From the mean body an eighth of a ray outwards, to rest: the dataset's unit of work.",
+    "push-out": "A drape out of a body, by the smallest displacement. Host side.",
     "prepare": "From a design to a garment that can be draped: pattern, mesh, mean drape, graph. Host side.",
 }
 """What each subject is."""

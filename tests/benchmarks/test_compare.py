@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks import _machine, compare, report
-from benchmarks._garments import mesh_of_size, subdivide
+from benchmarks._garments import garment_of, mesh_of_size, subdivide
 from benchmarks._machine import Ceilings, counting_compilations, integrate_power, measure_ceilings
 from benchmarks._networks import layer_shapes
 from benchmarks._pieces import measured, too_large, too_long
@@ -36,7 +36,7 @@ def test_the_plan_covers_every_subject_and_sweep():
             assert {c.vertices for c in mine if c.batch == 8} == {1414, 3581, 14_000, 100_000}
     assert {c.precision for c in cells if c.subject == "drape"} == {"float32", "tf32", "bfloat16"}
     # Time that runs out costs the ends of the sweeps: every subject's middle comes first.
-    middles = {(c.subject, c.config) for c in cells[: len({(c.subject, c.config) for c in cells}) + 8]}
+    middles = {(c.subject, c.config) for c in cells[: len({(c.subject, c.config) for c in cells}) + 10]}
     assert {subject for subject, _ in middles} == set(ALL)
     assert set(cells) <= set(plan(Config(full=True)))
     assert len(plan(Config(quick=True))) < 0.5 * len(cells)
@@ -75,12 +75,26 @@ def test_a_wrong_result_is_never_timed(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("subject", ["U-Net gradient", "drape", "training step", "collision loss", "solver step"])
+@pytest.mark.parametrize(
+    "subject", ["U-Net gradient", "drape", "training step", "collision loss", "solver step", "drape with fields"]
+)
 def test_the_larger_subjects_agree_with_float64(subject):
     config = "small" if subject in NETWORKS else ""
     entry = measure_cell(Cell(subject, config, 300, 2), Config(repeats=3, cell_seconds=0.1), FAST)
     assert "ms" in entry, entry
     assert entry["compilations_afterwards"] == 0
+
+
+def test_fields_are_written_twice_and_equal():
+    from benchmarks._fields import fields_model, reference_fields
+
+    model = fields_model("small")
+    garment = garment_of(model.config, 300)
+    betas = np.array([[0.7, -1.1], [-2.0, 0.4]], np.float32)
+    reference = reference_fields("small", 300)
+    for found, row in zip(jax.jit(drape)(model, garment, jnp.asarray(betas)), betas, strict=True):
+        exact = reference.drape(row)
+        np.testing.assert_allclose(np.asarray(found)[reference.mask], exact[reference.mask], atol=3e-6)
 
 
 def test_the_reference_is_the_network():
