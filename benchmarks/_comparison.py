@@ -99,7 +99,7 @@ class Comparison:
         if still and self.piece not in self.record.setdefault("pieces", []):
             self.record["pieces"].append(self.piece)
             self.record["config"] |= {name: self._options[name] for name in LIMITS}
-        for cell in tqdm(still, desc=title, mininterval=2):
+        for cell in tqdm(still, desc=title, mininterval=2, disable=not still):
             now = self.clock()
             if now > until or (must_fit and now + self._likely_seconds(cell) > until):
                 if self.entry(cell)["skipped"] != RUNNING:

@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
@@ -184,12 +184,17 @@ def _prepare(weights: str, data: str, name: str) -> Garment:
     return jax.tree.map(np.asarray, prepare_simulated(_model(weights), Path(data), name))
 
 
+def shipped_weights() -> AbstractContextManager[Path]:
+    """File of the weights that come with the package."""
+    return resources.as_file(resources.files("tryon_jax") / "data" / "models" / "small.safetensors")
+
+
 def compared(
     data: Path, weights: Path, samples: list[SimulatedGarment] | None, names: Sequence[str], processes: int
 ) -> list[str]:
     """One line for each fabric: error on validation drapes of the trained networks and of those in the package."""
     lines = []
-    with resources.as_file(resources.files("tryon_jax") / "data" / "models" / "small.safetensors") as shipped:
+    with shipped_weights() as shipped:
         own = load_model(weights), samples or load_prepared(data, weights, names, processes)
         other = load_model(shipped), load_prepared(data, shipped, names, processes)
     for fabric in own[0].config.fabrics:

@@ -235,8 +235,11 @@ def main(config: Config) -> None:
         check_range(name, share, 0.0, 1.0)
     if sum(shares) > 1:
         raise ValueError(f"check_share, throughput_share and simulator_share add up to {sum(shares):g}, more than 1")
-    set_flags(os.environ, has_card(os.environ))
-    keep_compiled(config.out / "compiled")
+    card = has_card(os.environ)
+    set_flags(os.environ, card)
+    if card:
+        # What was compiled for one CPU may not run on another.
+        keep_compiled(config.out / "compiled")
     record = run(config, Steps())
     print("\n".join(said(record)))
     print(f"wrote {config.out}; the same command continues")

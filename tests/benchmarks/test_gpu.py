@@ -2,14 +2,15 @@
 
 import dataclasses
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks import _comparison, _gpu_training, float64, gpu
+from benchmarks import _comparison, float64, gpu
 from benchmarks._calls import summary
-from benchmarks._gpu_training import Training
 from benchmarks._machine import Ceilings
 from benchmarks._pieces import RUNNING
 from benchmarks._plan import simulator_cells, throughput_cells
@@ -205,6 +206,29 @@ def test_flags_are_set_for_cards_alone():
     assert not has_card({"JAX_PLATFORMS": "cpu"})
 
 
+KEPT = """
+import sys
+from pathlib import Path
+import jax
+from benchmarks._machine import counting_compilations
+from benchmarks.gpu import keep_compiled
+keep_compiled(Path(sys.argv[1]) / "compiled")
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+for _ in range(2):
+    with counting_compilations() as found:
+        jax.jit(lambda x: jax.numpy.cos(x) * 3 + x)(jax.numpy.ones(7))
+    print(found.from_cache > 0)
+    jax.clear_caches()
+"""
+
+
+def test_what_was_compiled_is_kept_and_counted(tmp_path):
+    command = [sys.executable, "-c", KEPT, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=Path(gpu.__file__).parents[1], check=True)
+    assert done.stdout.split() == ["False", "True"]
+    assert list((tmp_path / "compiled").iterdir())
+
+
 def test_shares_of_more_than_all_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"add up to 1\.5"):
         gpu.main(config_of(tmp_path, check_share=0.5, throughput_share=0.5, simulator_share=0.5))
@@ -231,13 +255,3 @@ def test_another_drape_and_other_weights_are_noticed(tmp_path):
     save_arrays(tmp_path / "old.npz", stored | {"weights": np.array("0")})
     with pytest.raises(ValueError, match="of other weights"):
         float64.check_drape(tmp_path / "old.npz")
-
-
-def test_no_time_trains_nothing(tmp_path):
-    from tests.training.test_packed import AREA, FABRIC
-    from tryon_jax.training.dataset import DatasetConfig, open_dataset
-
-    open_dataset(tmp_path / "data", DatasetConfig(fabrics=(FABRIC,), target_area=AREA))
-    found = _gpu_training.train(tmp_path / "data", tmp_path / "run", Training(), 2.0)
-    assert found["state"] == "not begun: 2 s were left"
-    assert not (tmp_path / "run").exists()
