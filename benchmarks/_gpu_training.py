@@ -54,6 +54,8 @@ class Training:
     """Steps of each stage: R_smooth, and R_fine of each fabric."""
     mean_steps: int = 6000
     """Steps of R_mean."""
+    garments: int = 4
+    """Garments in a batch."""
     shapes: int = 16
     """Body shapes of each garment in a batch."""
     evaluate_every: int = 500
@@ -98,7 +100,7 @@ def train(data: Path, run: Path, training: Training, seconds: float) -> dict[str
     options = StageOptions()
     every = min(training.evaluate_every, training.steps)
     loop = replace(options.loop, steps=training.steps, evaluate_every=every)
-    options = replace(options, loop=loop, shapes=training.shapes)
+    options = replace(options, loop=loop, garments=training.garments, shapes=training.shapes)
     limits = TimeLimits(deadline, training.checkpoint_seconds)
     samples: list[SimulatedGarment] | None = None
     state = f"all stages have their {training.steps} steps"
