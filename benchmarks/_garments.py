@@ -9,6 +9,8 @@ import numpy as np
 from tryon_jax.body import load_body
 from tryon_jax.garment import load_design_space, placement, remesh
 from tryon_jax.graph import build_graph
+from tryon_jax.graph.laplacian import Normalisation
+from tryon_jax.graph.pooling import Pooling
 from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.topology import edge_keys
 from tryon_jax.nets import TryOnConfig
@@ -71,17 +73,29 @@ def model_of(config: TryOnConfig | None) -> TryOnModel:
     return load_pretrained("paper-form") if config is None else init_model(jax.random.key(0), config, body=load_body())
 
 
-@cache
 def garment_of(config: TryOnConfig, vertices: int) -> Garment:
-    """Graph and smoother of the mesh of this size, arrays on the device."""
+    """Graph and smoother of the mesh of this size."""
+    return _garment(vertices, config.body, config.num_levels, config.pooling, config.laplacian, config.smoothing_length)
+
+
+@cache
+def _garment(
+    vertices: int, body: str, levels: int, pooling: Pooling, laplacian: Normalisation, length: float
+) -> Garment:
+    # Networks of all sizes share a graph: one of 100,000 vertices takes half a minute.
     mesh = mesh_of_size(vertices)
-    graph = build_graph(
-        mesh.mean,
-        mesh.faces,
-        load_body(config.body),
-        num_levels=config.num_levels,
-        pooling=config.pooling,
-        laplacian=config.laplacian,
-    )
-    smoother = make_smoother(mesh.mean, mesh.faces, config.smoothing_length, graph.num_nodes)
-    return Garment(graph, smoother)
+    return garment_of_mesh(mesh.mean, mesh.faces, body, levels, pooling, laplacian, length)
+
+
+def garment_of_mesh(
+    mean: np.ndarray,
+    faces: np.ndarray,
+    body: str,
+    levels: int,
+    pooling: Pooling,
+    laplacian: Normalisation,
+    length: float,
+) -> Garment:
+    """Graph and smoother of a mesh on the mean body."""
+    graph = build_graph(mean, faces, load_body(body), num_levels=levels, pooling=pooling, laplacian=laplacian)
+    return Garment(graph, make_smoother(mean, faces, length, graph.num_nodes))

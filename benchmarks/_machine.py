@@ -20,6 +20,7 @@ import numpy as np
 from measuring.records import environment
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
+_FROM_CACHE = "/jax/compilation_cache/cache_hits"
 _POWERCAP = Path("/sys/class/powercap")
 
 
@@ -29,6 +30,8 @@ class Compilations:
 
     count: int = 0
     seconds: float = 0.0
+    from_cache: int = 0
+    """Of these, how many JAX's cache folder had already: their seconds are of reading alone."""
 
 
 _listening: list[Compilations] = []
@@ -41,9 +44,16 @@ def _heard(event: str, duration_secs: float, **_: Any) -> None:
             counter.seconds += duration_secs
 
 
+def _heard_event(event: str, **_: Any) -> None:
+    if event == _FROM_CACHE:
+        for counter in _listening:
+            counter.from_cache += 1
+
+
 @functools.cache
 def _listen() -> None:
     jax.monitoring.register_event_duration_secs_listener(_heard)
+    jax.monitoring.register_event_listener(_heard_event)
 
 
 @contextmanager

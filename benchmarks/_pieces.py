@@ -7,12 +7,14 @@ from typing import Any
 
 SAME = ("device", "cpu_cores", "python", "tryon_jax", "jax", "jaxlib", "numpy", "scipy", "xla_flags")
 """What must not have changed since a record was begun."""
-LIMITS = ("max_call_seconds", "max_gigabytes")
+LIMITS = ("max_call_seconds", "max_lanes_seconds", "max_gigabytes")
 """Options that keep cells out; a skipped cell says in `needs` what would let it in."""
 FREE = ("minutes", "out", "resume", *LIMITS)
 """Options that may differ from piece to piece."""
 _OVER = "minutes were over"
 _FAILED = "failed: "
+RUNNING = "a run ended while it was measured"
+"""What is recorded of a cell while it is measured, and stays where the process is lost."""
 
 
 def cut_off(minutes: float) -> dict[str, str]:
@@ -40,7 +42,8 @@ def measured(cell: Mapping[str, Any], options: Mapping[str, Any]) -> bool:
     if "skipped" not in cell:
         return True
     let_in = any(least <= options[name] for name, least in cell.get("needs", {}).items())
-    return not (let_in or cell["skipped"].endswith(_OVER) or cell["skipped"].startswith(_FAILED))
+    again = cell["skipped"] == RUNNING or cell["skipped"].endswith(_OVER) or cell["skipped"].startswith(_FAILED)
+    return not (let_in or again)
 
 
 def read_begun(path: Path, options: Mapping[str, Any], surroundings: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -14,6 +14,9 @@ from benchmarks._garments import garment_of, mesh_of_size, model_of
 from benchmarks._subjects import FRESH, Cell, Work
 from tryon_jax.body import load_body, shape_body, vertex_normals
 from tryon_jax.contact.collision_loss import VertexNeighbours, collision_loss, list_neighbours
+from tryon_jax.contact.push_out import PushedOut, push_out
+from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.physics.batch import sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow
 from tryon_jax.physics.fabrics import load_fabric
@@ -148,14 +151,20 @@ def _widened(leaf: Any) -> Any:
     return jnp.asarray(array.astype(np.float64) if array.dtype == np.float32 else array)
 
 
+@cache
+def _at_rest(vertices: int) -> Drape:
+    """The garment on the mean body, at rest."""
+    mesh = mesh_of_size(vertices)
+    return dress(mesh.start, _cloth(vertices), load_fabric(FABRIC), _obstacle(), SolverSettings(), Equilibrium())
+
+
 class FullEquilibrium:
     """From one body shape to the next, to rest: the unit of work of the dataset. Runs on the host around the solver."""
 
     def __init__(self, cell: Cell) -> None:
         self.cloth, self.fabric, self.obstacle = _cloth(cell.vertices), load_fabric(FABRIC), _obstacle()
         self.settings, self.equilibrium = SolverSettings(), Equilibrium()
-        mesh = mesh_of_size(cell.vertices)
-        self.start = dress(mesh.start, self.cloth, self.fabric, self.obstacle, self.settings, self.equilibrium)
+        self.start = _at_rest(cell.vertices)
         self.moved = CG_ITERATIONS * 30 * _matrix_bytes(self.cloth)
         self.flops = CG_ITERATIONS * 30 * 18.0 * float(np.prod(self.cloth.neighbours.shape))
 
@@ -175,3 +184,37 @@ class FullEquilibrium:
                 return step(state, cloth, self.fabric, surface, self.settings, still, free)[1].residual
 
             return float(jax.jit(residual)(*wide)) / self.equilibrium.tolerance
+
+
+class SideBySide(FullEquilibrium):
+    """The same for many bodies in lanes of one mapped solve."""
+
+    def __init__(self, cell: Cell) -> None:
+        super().__init__(cell)
+        self.lanes = cell.batch
+
+    def drapes(self, number: int, most: int | None = None) -> list[Drape]:
+        """Follow the bodies to as many shapes, an eighth of a ray away in all directions, in at most `most` steps."""
+        angles = 2 * np.pi * (np.arange(self.lanes) + number / FRESH) / self.lanes
+        betas = 0.125 * np.stack([3 * np.cos(angles), 2 * np.sin(angles)], axis=1)
+        equilibrium = self.equilibrium if most is None else replace(self.equilibrium, max_steps=most)
+        many = [self.start] * self.lanes, betas[:, None], [self.cloth] * self.lanes, [self.fabric] * self.lanes
+        [found] = sweep_many(*many, self.obstacle, self.settings, equilibrium)
+        return found
+
+
+class PushOut:
+    """A drape brought out of a body by the smallest displacement; runs on the host."""
+
+    def __init__(self, cell: Cell) -> None:
+        body, mesh = load_body(), mesh_of_size(cell.vertices)
+        self.faces, self.start = mesh.faces, np.asarray(mesh.mean, np.float64)
+        angles = 2 * np.pi * np.arange(FRESH) / FRESH
+        betas = np.stack([1.5 * np.cos(angles), np.sin(angles)], axis=1)
+        self.bodies = [
+            ClosedSurface(np.asarray(shape_body(body, jnp.asarray(b))[0]), np.asarray(body.faces)) for b in betas
+        ]
+
+    def __call__(self, number: int) -> PushedOut:
+        """The mean drape out of one of three bodies."""
+        return push_out(self.start, self.faces, self.bodies[number % FRESH])

@@ -91,11 +91,13 @@ def work_of_layers(nets: Sequence[UNet], nodes: int, batch: int, entries: int, b
     return flops, moved
 
 
-def _entries(garment: Garment) -> int:
+def entries(garment: Garment) -> int:
+    """Entries of the finest Laplacian that are not zero."""
     return int((np.asarray(garment.graph.levels[0].laplacian.rows.weights) != 0).sum()) + garment.graph.num_nodes
 
 
-def _rng(cell: Cell) -> np.random.Generator:
+def generator(cell: Cell) -> np.random.Generator:
+    """Of a cell's inputs: the same in every run."""
     return np.random.default_rng((cell.vertices, cell.batch))
 
 
@@ -105,7 +107,7 @@ def laplacian_product(cell: Cell) -> Work:
     operator = garment_of(config, cell.vertices).graph.levels[0].laplacian
     dtype, _ = PRECISIONS[cell.precision]
     columns = cell.batch * config.smooth.widths[0]
-    rng = _rng(cell)
+    rng = generator(cell)
     inputs = [(jnp.asarray(rng.normal(size=(operator.shape[1], columns)), dtype),) for _ in range(FRESH)]
     csr = to_csr(operator)
 
@@ -131,7 +133,7 @@ def cheb_layer(cell: Cell) -> Work:
     operator = garment_of(config, cell.vertices).graph.levels[0].laplacian
     order, nodes = config.smooth.order, operator.shape[0]
     params = init_cheb_conv(jax.random.key(1), order, width, width)
-    rng = _rng(cell)
+    rng = generator(cell)
     inputs = [(jnp.asarray(rng.normal(size=(nodes, cell.batch, width)), jnp.float32),) for _ in range(FRESH)]
     csr, exact = to_csr(operator), double(params)
 
@@ -159,7 +161,9 @@ def cheb_layer(cell: Cell) -> Work:
         peers["PyTorch Geometric"] = peer_layer(params, operator, on_host)
     flops = 2.0 * cell.batch * (nodes * order * width * width + (order - 1) * csr.nnz * width)
     moved = 2.0 * inputs[0][0].nbytes + params.weight.nbytes
-    return Work(jax_cheb_conv, (params, operator), inputs, check, 1e-3, "", cell.batch, flops, moved, peers)
+    # Outputs are sums of hundreds of products of size one; TF32 has ten bits.
+    tolerance = 1e-3 if cell.precision == "float32" else 0.05
+    return Work(jax_cheb_conv, (params, operator), inputs, check, tolerance, "", cell.batch, flops, moved, peers)
 
 
 def rounding_mm(found: np.ndarray, exact: np.ndarray) -> float:
@@ -182,7 +186,7 @@ def unet_forward(cell: Cell) -> Work:
     def forward(stage: Stage, garment: Garment, betas: jax.Array) -> jax.Array:
         return apply_stage(stage, garment.graph, smooth_features(config, garment, betas))
 
-    rng = _rng(cell)
+    rng = generator(cell)
     inputs = [(random_betas(cell, rng, config.num_betas),) for _ in range(FRESH)]
 
     def check(run: Callable[..., Any]) -> float:
@@ -194,7 +198,7 @@ def unet_forward(cell: Cell) -> Work:
         return worst
 
     nodes = garment.graph.num_nodes
-    flops, moved = work_of_layers([stage.net], nodes, cell.batch, _entries(garment), jnp.dtype(dtype).itemsize)
+    flops, moved = work_of_layers([stage.net], nodes, cell.batch, entries(garment), jnp.dtype(dtype).itemsize)
     tolerance = 0.01 if cell.precision == "float32" else 0.1
     return Work(forward, (stage, garment), inputs, check, tolerance, "mm", cell.batch, flops, moved)
 
@@ -232,7 +236,7 @@ def unet_gradient(cell: Cell) -> Work:
     def run(net: UNet, garment: Garment, betas: jax.Array, shares: jax.Array) -> tuple[jax.Array, Any]:
         return jax.value_and_grad(squares)(net, config, garment, betas, shares)
 
-    rng = _rng(cell)
+    rng = generator(cell)
     even = jnp.full(cell.batch, 1 / cell.batch, jnp.float32)
     inputs = [(random_betas(cell, rng, config.num_betas), even) for _ in range(FRESH)]
 
@@ -241,7 +245,7 @@ def unet_gradient(cell: Cell) -> Work:
         value, gradient = made(net, garment, inputs[0][0], last)
         return _check_gradient(cell, net, garment, inputs[0][0], gradient, float(value))
 
-    flops, moved = work_of_layers([net], garment.graph.num_nodes, cell.batch, _entries(garment), 4)
+    flops, moved = work_of_layers([net], garment.graph.num_nodes, cell.batch, entries(garment), 4)
     return Work(run, (net, garment), inputs, check, 1e-2, "relative", cell.batch, 3 * flops, 3 * moved)
 
 
@@ -275,7 +279,7 @@ def training_step(cell: Cell) -> Work:
         return optax.apply_updates(net, updates), state, value
 
     state = jax.jit(optimiser.init)(net)
-    rng = _rng(cell)
+    rng = generator(cell)
     even = jnp.full(cell.batch, 1 / cell.batch, jnp.float32)
     inputs = [(random_betas(cell, rng, config.num_betas), even) for _ in range(FRESH)]
 
@@ -287,7 +291,7 @@ def training_step(cell: Cell) -> Work:
         gradient = jax.tree.map(lambda moment: 10 * moment, moments)
         return _check_gradient(cell, net, garment, inputs[0][0], gradient, float(value))
 
-    flops, moved = work_of_layers([net], garment.graph.num_nodes, cell.batch, _entries(garment), 4)
+    flops, moved = work_of_layers([net], garment.graph.num_nodes, cell.batch, entries(garment), 4)
     return Work(step, (net, state, garment), inputs, check, 1e-2, "relative", cell.batch, 3 * flops, 3 * moved)
 
 
@@ -297,7 +301,7 @@ def whole_drape(cell: Cell) -> Work:
     garment, fabric = garment_of(config, cell.vertices), config.fabrics[0]
     dtype, _ = PRECISIONS[cell.precision]
     used = model if cell.precision != "bfloat16" else with_precision(model, dtype)
-    rng = _rng(cell)
+    rng = generator(cell)
     inputs = [(random_betas(cell, rng, config.num_betas),) for _ in range(FRESH)]
     run = partial(drape, fabric=fabric)
 
@@ -316,6 +320,6 @@ def whole_drape(cell: Cell) -> Work:
         peers["PyTorch Geometric"] = peer(model, garment, inputs[0][0])
     nets = [model.smooth.net, model.fine[fabric].net]
     nodes = garment.graph.num_nodes
-    flops, moved = work_of_layers(nets, nodes, cell.batch, _entries(garment), jnp.dtype(dtype).itemsize)
+    flops, moved = work_of_layers(nets, nodes, cell.batch, entries(garment), jnp.dtype(dtype).itemsize)
     tolerance = 0.01 if cell.precision == "float32" else 0.1
     return Work(run, (used, garment), inputs, check, tolerance, "mm", cell.batch, flops, moved, peers)

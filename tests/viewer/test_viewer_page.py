@@ -18,6 +18,7 @@ from tests.flat_model import flat_model
 from tryon_jax.viewer import serve, simulation
 from tryon_jax.viewer.upload import MAX_BYTES
 from tryon_jax.wear import session
+from tryon_jax.wear.gate import Verdict
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(PROGRAM is None, reason="no Chromium on this machine")]
 ARTIFACTS = Path(os.environ.get("TRYON_ARTIFACTS", "artifacts"))
@@ -28,6 +29,8 @@ def url():
     with pytest.MonkeyPatch.context() as patch:
         # The flat panels cut through the body, which is far from what a push can mend: it is not waited for.
         patch.setattr(session, "push_out", partial(session.push_out, max_rounds=1))
+        # Nor would the gate let them be downloaded.
+        patch.setattr(session, "judge", lambda *_, **__: Verdict())
         server = serve(flat_model(target_area=1.5e-3), port=8765)
         assert server.get_host() == "127.0.0.1"
         yield f"http://127.0.0.1:{server.get_port()}"

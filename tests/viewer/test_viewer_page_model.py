@@ -23,6 +23,7 @@ from tryon_jax.viewer.downloads import (
     picture_file,
 )
 from tryon_jax.viewer.page_model import LAYERS, PageModel, UploadedMesh
+from tryon_jax.wear.gate import Refused
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +33,16 @@ def page():
 
 @pytest.fixture(scope="module")
 def result(page):
-    # The flat panels cut through the body, which is far from what a push can mend.
-    return page.finish(page.compute(replace(page.start(), push_out=False)))
+    # The flat panels cut through the body, which is far from what a push can mend; the gate would refuse to write them.
+    finished = page.finish(page.compute(replace(page.start(), push_out=False)))
+    assert finished.dressed.verdict.outcome == "refused"
+    return replace(finished, dressed=replace(finished.dressed, verdict=None))
+
+
+def test_what_the_gate_refuses_is_not_downloaded(page):
+    finished = page.finish(page.compute(replace(page.start(), push_out=False)))
+    with pytest.raises(Refused, match="is refused"):
+        mesh_file(finished.dressed, ".glb")
 
 
 @pytest.fixture

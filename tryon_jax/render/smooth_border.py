@@ -1,5 +1,7 @@
 """Smooth necklines, cuffs and hems for pictures: the mesh cut finer, its borders as curves."""
 
+from typing import Any
+
 import numpy as np
 import trimesh
 from jaxtyping import Float, Int
@@ -33,7 +35,8 @@ def smooth_border(
     np.add.at(total, edges[:, 1], moved[edges[:, 0]])
     on_line = count == 2
     paint = np.zeros_like(moved) if colors is None else np.asarray(colors, np.float64)
-    fine, cut, values = trimesh.remesh.subdivide(moved, faces, vertex_attributes={"colors": paint})
+    cut_all: Any = trimesh.remesh.subdivide(moved, faces, vertex_attributes={"colors": paint})
+    fine, cut, values = cut_all
     # The first vertices of the finer mesh are the old ones; the middles of edges stay where they are.
     fine = np.array(fine)
     fine[: len(vertices)][on_line] = 0.75 * moved[on_line] + 0.125 * total[on_line]

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
-from tryon_jax.training.dataset import load_arrays, mesh_path
+from tryon_jax.training.drapes import load_mesh
 from tryon_jax.training.garments import SimulatedGarment, training_bucket, training_shapes
 from tryon_jax.tryon import TryOnModel, config_space, prepare_mesh
 
@@ -65,7 +65,7 @@ def carry_over(
     rows = np.flatnonzero(training_shapes(samples, manifest))
     design = manifest.design(samples.label)
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=seed)
-    onto = map_patterns(pattern_arrays(mesh), load_arrays(mesh_path(root, samples.name)))
+    onto = map_patterns(pattern_arrays(mesh), load_mesh(root, samples.name))
     garment = prepare_mesh(model, mesh, bucket=training_bucket(mesh.num_vertices))
     size, old = garment.graph.num_nodes, samples.garment.num_vertices
 

@@ -15,7 +15,7 @@ from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.physics.cloth import Cloth, build_cloth
-from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path
+from tryon_jax.training.drapes import load_drapes, load_mesh
 from tryon_jax.tryon import Garment, TryOnModel
 
 TRAINING_BUCKETS = (2048, 2816, 3584)
@@ -70,7 +70,7 @@ def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
         root: Folder of the dataset.
         name: <design label>-<topology seed>.
     """
-    mesh = load_arrays(mesh_path(root, name))
+    mesh = load_mesh(root, name)
     template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(mesh["design"], jnp.float32)))
     vertices = np.einsum("vk,vkc->vc", mesh["template_weights"], template[mesh["template_vertices"]])
     config = model.config
@@ -135,7 +135,7 @@ def load_simulated(
 
 def load_cloth(root: Path, samples: SimulatedGarment) -> Cloth:
     """The garment's rest state, padded to its graph's bucket."""
-    mesh = load_arrays(mesh_path(root, samples.name))
+    mesh = load_mesh(root, samples.name)
     size = samples.garment.graph.num_nodes
     return build_cloth(mesh["faces"], mesh["uv"], mesh["faces_uv"], len(mesh["start"]), bucket=size)
 
@@ -154,21 +154,10 @@ class _Sample(NamedTuple):
 
 
 def _samples(root: Path, name: str, fabric: str) -> dict[tuple[float, ...], _Sample]:
-    """Samples by betas; the mean body belongs to training."""
-    path = mean_path(root, name, fabric)
-    if not path.exists():
-        raise FileNotFoundError(f"dataset {str(root)!r} has no drape of {name} in {fabric} on the mean body")
-    mean = load_arrays(path)
-    rays = [load_arrays(p) for p in sorted((root / "rays").glob(f"{name}_{fabric}_*.npz"))]
-    width = rays[0]["betas"].shape[1] if rays else 2
-    good, resting = is_good(mean), mean["residual"] <= MAX_RESIDUAL
-    table = {(0.0,) * width: _Sample(mean["vertices"], False, bool(good), bool(resting))}
-    for ray in rays:
-        good, resting = is_good(ray), ray["residual"] <= MAX_RESIDUAL
-        for i, betas in enumerate(np.round(ray["betas"], 6)):
-            key = tuple(map(float, betas))
-            table[key] = _Sample(ray["vertices"][i], bool(ray["test"][i]), bool(good[i]), bool(resting[i]))
-    return table
+    """Samples by betas."""
+    found = load_drapes(root, name, fabric)
+    parts = zip(found.betas, found.vertices, found.test, found.good, found.resting, strict=True)
+    return {tuple(map(float, key)): _Sample(x, bool(t), bool(g), bool(r)) for key, x, t, g, r in parts}
 
 
 def training_shapes(samples: SimulatedGarment, manifest: Manifest) -> Bool[np.ndarray, " S"]:

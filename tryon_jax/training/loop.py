@@ -54,6 +54,20 @@ class LoopOptions:
     that is more than twice as fast (`benchmarks training`), and all elsewhere."""
 
 
+@dataclass(frozen=True)
+class TimeLimits:
+    """How long one run of a loop may take and how often it writes; what it computes does not depend on them."""
+
+    deadline: float = np.inf
+    """Of `time.monotonic()`: then the step at hand is finished and a checkpoint written."""
+    checkpoint_seconds: float = np.inf
+    """Time after which a checkpoint is written between evaluations."""
+
+
+class OutOfTimeError(RuntimeError):
+    """The deadline came before the last step; the same call continues from the checkpoint."""
+
+
 @dataclass(frozen=True, eq=False)
 class LoopResult:
     """What a loop ends with."""
@@ -77,6 +91,7 @@ def train_loop(
     identity: dict[str, Any],
     title: str = "training",
     devices: SingleDevice | None = None,
+    limits: TimeLimits | None = None,
 ) -> LoopResult:
     """Minimise `loss` by AdamW.
 
@@ -90,8 +105,10 @@ def train_loop(
         identity: what the run depends on (configuration, dataset checksum); a folder of another run is refused.
         title: of the progress bar.
         devices: what it runs on; all visible devices by default (see `parallel`).
+        limits: of this run; none by default.
 
     Raises:
+        OutOfTimeError: the deadline of `limits` came; a checkpoint is written.
         KeyboardInterrupt: after Ctrl-C or SIGTERM, when the step at hand is done and a checkpoint is written.
         ValueError: the folder belongs to another run, or the loss became NaN.
     """
@@ -119,7 +136,8 @@ def train_loop(
     progress = devices.agree(progress)
     curve, done, seconds = progress["curve"], progress["step"], progress["seconds"]
     losses: list[Any] = progress.get("losses", [])
-    began = time.monotonic()
+    began = saved = time.monotonic()
+    limits = limits or TimeLimits()
     pace = _Pace()
 
     def save() -> None:
@@ -127,6 +145,9 @@ def train_loop(
             total = seconds + time.monotonic() - began
             kept = {"curve": curve, "step": done, "seconds": total, "losses": _floats(losses)}
             _save(folder, devices.local((params, state, best)), kept)
+
+    def late() -> bool:
+        return limits.deadline < np.inf and devices.agree(time.monotonic() >= limits.deadline)
 
     hidden = not devices.is_main
     with (
@@ -144,6 +165,12 @@ def train_loop(
                 if stopped():
                     save()
                     raise KeyboardInterrupt
+                if late():
+                    save()
+                    raise OutOfTimeError(f"{title}: time was over at step {done} of {options.steps}")
+                if time.monotonic() - saved > limits.checkpoint_seconds:
+                    save()
+                    saved = time.monotonic()
                 continue
             mean_loss = float(np.mean(np.array(_floats(losses), np.float32)))
             if not np.isfinite(mean_loss):
@@ -159,10 +186,13 @@ def train_loop(
             bar.set_postfix({"loss": f"{mean_loss:.4f}", "validation": f"{error:.4f}", **measured})
             pace.restart()
             save()
+            saved = time.monotonic()
             if devices.is_main:
                 write_text(folder / "curve.csv", _as_csv(curve))
             if stopped() and done < options.steps:
                 raise KeyboardInterrupt
+            if done < options.steps and late():
+                raise OutOfTimeError(f"{title}: time was over at step {done} of {options.steps}")
     return LoopResult(devices.local(best), curve, seconds + time.monotonic() - began)
 
 

@@ -39,8 +39,9 @@ from tryon_jax.training.collisions import (
     with_fine,
 )
 from tryon_jax.training.dataset import read_config
+from tryon_jax.training.drapes import has_drapes
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
-from tryon_jax.training.loop import LoopOptions, train_loop
+from tryon_jax.training.loop import LoopOptions, TimeLimits, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
 from tryon_jax.training.principal import principal_coefficients
 from tryon_jax.training.stages import (
@@ -57,7 +58,7 @@ from tryon_jax.training.stages import (
     stage_loss,
     validation_error,
 )
-from tryon_jax.tryon import Stage, TryOnModel, config_space, init_model, load_model, save_model
+from tryon_jax.tryon import Garment, Stage, TryOnModel, config_space, init_model, load_model, save_model
 from tryon_jax.tryon.precision import cast_net
 
 
@@ -107,13 +108,13 @@ def training_names(root: Path, manifest: Manifest, designs: str = "all") -> list
     """
     fabrics = read_config(root).fabrics
     names = manifest.training_garments(additional=designs == "all")
-    return [n for n in names if all((root / "mean" / f"{n}_{fabric}.npz").exists() for fabric in fabrics)]
+    return [n for n in names if has_drapes(root, n, fabrics)]
 
 
 def dataset_checksum(root: Path, names: Sequence[str]) -> str:
     """SHA-256 over the contents of the files that a training run on these garments reads."""
     digest = hashlib.sha256((root / "config.json").read_bytes())
-    for folder in ("meshes", "mean", "rays", "templates"):
+    for folder in ("meshes", "mean", "rays", "packed", "templates"):
         for path in sorted((root / folder).glob("[!.]*.npz")):
             if folder == "templates" or path.stem.split("_")[0] in names:
                 digest.update(f"{folder}/{path.name}:".encode() + hashlib.sha256(path.read_bytes()).digest())
@@ -147,42 +148,72 @@ def fit_mean(root: Path, run: Path, config: TryOnConfig, options: MeanTraining) 
     return model
 
 
-def load_samples(model: TryOnModel, root: Path, names: Sequence[str]) -> list[SimulatedGarment]:
+def load_samples(
+    model: TryOnModel, root: Path, names: Sequence[str], prepared: Mapping[str, Garment] | None = None
+) -> list[SimulatedGarment]:
     """Garments with their drapes, prepared for the model.
 
     Args:
         model: Its configuration and R_mean.
         root: Folder of the dataset.
         names: <design label>-<topology seed> of each garment.
+        prepared: Garments by name that are prepared already.
     """
-    fabrics = read_config(root).fabrics
-    return [load_simulated(model, root, name, fabrics) for name in tqdm(names, desc="garments", mininterval=2)]
+    fabrics, known = read_config(root).fabrics, prepared or {}
+    listed = tqdm(names, desc="garments", mininterval=2)
+    return [load_simulated(model, root, name, fabrics, known.get(name)) for name in listed]
 
 
-def fit_smooth(root: Path, run: Path, options: StageOptions) -> TryOnModel:
+def fit_smooth(
+    root: Path,
+    run: Path,
+    options: StageOptions,
+    samples: Sequence[SimulatedGarment] | None = None,
+    limits: TimeLimits | None = None,
+) -> TryOnModel:
     """Train R_smooth of a run whose R_mean is trained.
 
     Args:
         root: Folder of the dataset.
         run: Folder of the run.
         options: Of the training.
+        samples: All garments of `training_names`, where they are loaded already.
+        limits: Of the time that this call may take.
+
+    Raises:
+        OutOfTimeError: The deadline came; the same call continues.
     """
     model = load_model(model_path(run))
     manifest = load_manifest()
-    names = training_names(root, manifest, options.designs)
-    samples = load_samples(model, root, names)
-    samples += fresh_topologies(model, root, samples, manifest, options.fresh)
-    sets = smooth_sets(samples, manifest)
-    stage, record = fit_stage(
-        model, "smooth", model.smooth, sets, run / "smooth", options, dataset_checksum(root, names)
-    )
+    names, samples = _training_samples(model, root, manifest, options, samples)
+    sets, checksum = smooth_sets(samples, manifest), dataset_checksum(root, names)
+    stage, record = fit_stage(model, "smooth", model.smooth, sets, run / "smooth", options, checksum, limits=limits)
     model = replace(model, smooth=stage)
     _save(run, model, "smooth", record)
     return model
 
 
+def _training_samples(
+    model: TryOnModel,
+    root: Path,
+    manifest: Manifest,
+    options: StageOptions,
+    samples: Sequence[SimulatedGarment] | None,
+) -> tuple[list[str], list[SimulatedGarment]]:
+    """Names of the simulated garments that are trained on, and them with their fresh topologies."""
+    names = training_names(root, manifest, options.designs)
+    loaded = load_samples(model, root, names) if samples is None else list(samples)
+    return names, loaded + fresh_topologies(model, root, loaded, manifest, options.fresh)
+
+
 def fit_fine(
-    root: Path, run: Path, fabrics: Sequence[str], options: StageOptions, pool: Executor | None = None
+    root: Path,
+    run: Path,
+    fabrics: Sequence[str],
+    options: StageOptions,
+    pool: Executor | None = None,
+    samples: Sequence[SimulatedGarment] | None = None,
+    limits: TimeLimits | None = None,
 ) -> TryOnModel:
     """Train R_fine of each fabric, for a run whose R_smooth is trained.
 
@@ -192,20 +223,30 @@ def fit_fine(
         fabrics: Whose R_fine.
         options: Of each training.
         pool: Trains the fabrics side by side; without it one follows the other.
+        samples: As in `fit_smooth`.
+        limits: As in `fit_smooth`.
 
     Raises:
+        OutOfTimeError: as in `fit_smooth`.
         ValueError: energies and fresh topologies are asked for at once: those have no rest state.
     """
     if options.energy and options.fresh:
         raise ValueError(f"energy = {options.energy} needs fresh = 0, not {options.fresh}: carried drapes do not rest")
-    return _fit_fabrics(run, fabrics, pool, _train_fine, "fine", root, run, options)
+    return _fit_fabrics(run, fabrics, pool, _train_fine, "fine", root, run, options, samples, limits)
 
 
-def _train_fine(fabric: str, root: Path, run: Path, options: StageOptions) -> tuple[Stage, dict[str, Any]]:
+def _train_fine(
+    fabric: str,
+    root: Path,
+    run: Path,
+    options: StageOptions,
+    samples: Sequence[SimulatedGarment] | None,
+    limits: TimeLimits | None,
+) -> tuple[Stage, dict[str, Any]]:
     model = load_model(model_path(run))
-    sets, checksum = load_fine_sets(model, root, fabric, options)
-    folder = run / f"fine-{fabric}"
-    return fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, load_fabric(fabric))
+    sets, checksum = load_fine_sets(model, root, fabric, options, samples)
+    folder, cloth = run / f"fine-{fabric}", load_fabric(fabric)
+    return fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, cloth, limits)
 
 
 def _fit_fabrics(
@@ -224,7 +265,13 @@ def _fit_fabrics(
     return load_model(model_path(run))
 
 
-def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOptions) -> tuple[list[StageSet], str]:
+def load_fine_sets(
+    model: TryOnModel,
+    root: Path,
+    fabric: str,
+    options: StageOptions,
+    samples: Sequence[SimulatedGarment] | None = None,
+) -> tuple[list[StageSet], str]:
     """Samples of one fabric's R_fine and their checksum.
 
     Args:
@@ -232,11 +279,10 @@ def load_fine_sets(model: TryOnModel, root: Path, fabric: str, options: StageOpt
         root: Folder of the dataset.
         fabric: Name of the fabric.
         options: Of the training.
+        samples: As in `fit_smooth`.
     """
     manifest = load_manifest()
-    names = training_names(root, manifest, options.designs)
-    samples = load_samples(model, root, names)
-    samples += fresh_topologies(model, root, samples, manifest, options.fresh)
+    names, samples = _training_samples(model, root, manifest, options, samples)
     smooth_vertices = None
     if options.fine_input == "predicted":
         predictor = Predictor(model.config, "smooth")
@@ -335,6 +381,7 @@ def fit_stage(
     options: StageOptions,
     checksum: str,
     fabric: Fabric | None = None,
+    limits: TimeLimits | None = None,
 ) -> tuple[Stage, dict[str, Any]]:
     """Train one stage, "smooth" or "fine", from the weights of `stage`; checkpoints and curve go to `folder`.
 
@@ -347,6 +394,7 @@ def fit_stage(
         options: Of the training.
         checksum: Of the samples.
         fabric: The stage's fabric, where the loss has energies.
+        limits: Of the time that this call may take.
 
     Returns:
         The trained stage, and the record of its training.
@@ -378,7 +426,7 @@ def fit_stage(
     }
     loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
     weights = StageWeights(stage.net, None if principal else stage.coefficients)
-    result = train_loop(weights, loss, source.draw, evaluate, folder, loop, identity, folder.name)
+    result = train_loop(weights, loss, source.draw, evaluate, folder, loop, identity, folder.name, limits=limits)
     record = {
         "garments": len(sets),
         "samples": int(sum(s.train.sum() for s in sets)),
