@@ -16,12 +16,23 @@ def load_mesh(root: Path, garment: str) -> dict[str, np.ndarray]:
 
 
 def has_drapes(root: Path, garment: str, fabrics: Sequence[str]) -> bool:
-    """Whether the garment was draped on the mean body in all these fabrics."""
+    """Whether the garment was draped on the mean body in all these fabrics.
+
+    Args:
+        root: Folder of the dataset.
+        garment: <design label>-<topology seed>.
+        fabrics: Names.
+    """
     return packed_path(root, garment).exists() or all(mean_path(root, garment, fabric).exists() for fabric in fabrics)
 
 
 def load_drapes(root: Path, garment: str, fabric: str) -> Drapes:
     """Every drape of a garment in one fabric; the mean body belongs to training.
+
+    Args:
+        root: Folder of the dataset.
+        garment: <design label>-<topology seed>.
+        fabric: Name.
 
     Raises:
         FileNotFoundError: there is none on the mean body.

@@ -132,7 +132,14 @@ def read_packed_drapes(path: Path, fabric: str) -> Drapes:
 
 
 def write_summary(root: Path, source: str, error: float, found: Mapping[str, Mapping[str, Packing]]) -> None:
-    """packed.json: from which data set (its checksum), for which error, and what was reached."""
+    """packed.json: from which data set (its checksum), for which error, and what was reached.
+
+    Args:
+        root: Folder of the packed set.
+        source: Checksum of the full one.
+        error: Mean distance that was allowed, metres.
+        found: What each garment and fabric takes and how exact it is.
+    """
     garments = {name: {fabric: asdict(row) for fabric, row in of.items()} for name, of in found.items()}
     table: dict[str, Any] = {"source": source, "error_mm": 1e3 * error, "garments": garments}
     write_text(root / "packed.json", json.dumps(table, indent=1) + "\n")

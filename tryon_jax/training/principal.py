@@ -66,7 +66,13 @@ def principal_coefficients(config: TryOnConfig, stage: Stage, sets: Sequence[Sta
 def spread_over_shapes(
     known: Float[np.ndarray, "S b"], values: Float[np.ndarray, "S K"], wanted: Float[np.ndarray, "N b"]
 ) -> Float[np.ndarray, "N K"]:
-    """Interpolation by a thin plate; by cones where the known shapes are too few for one or lie on a line."""
+    """Interpolation by a thin plate; by cones where the known shapes are too few for one or lie on a line.
+
+    Args:
+        known: Shapes, in half axes of what is covered.
+        values: K values at each.
+        wanted: Other shapes.
+    """
     plane = np.column_stack([np.ones(len(known)), known])
     carries = len(known) > plane.shape[1] and np.linalg.matrix_rank(plane, tol=0.1) == plane.shape[1]
     kernel, degree = ("thin_plate_spline", 1) if carries else ("linear", 0)
