@@ -11,6 +11,10 @@ NOT_MEASURED = "not measured"
 DATASET = 15_276
 """Drapes of the data set at the paper's scale: 19 designs, 2 topologies, 2 fabrics, 201 body shapes."""
 PLATFORMS = ("cpu", "gpu")
+BOUND_BY_MEMORY = ("Laplacian product", "solver step")
+"""Subjects whose ceiling is the memory's."""
+CACHE_MB = 128.0
+"""Working sets below this, 10⁶ bytes, may lie in a cache of any machine that was measured."""
 Key = tuple[Any, ...]
 
 
@@ -19,15 +23,28 @@ def key(cell: Mapping[str, Any]) -> Key:
     return tuple(cell[name] for name in ("subject", "config", "vertices", "batch", "precision"))
 
 
+def share_of_ceiling(cell: Mapping[str, Any], ceilings: Mapping[str, Any]) -> float | None:
+    """Time at the ceiling over the time taken; None where the record has no ceiling for a working set of this size.
+
+    Records whose memory was measured on large arrays alone have none for working sets that may lie in a cache.
+    """
+    measured_in_cache = "bandwidth_gb_s_by_mb" in ceilings
+    small = (cell.get("memory_mb") or 0.0) < CACHE_MB
+    if cell["subject"] in BOUND_BY_MEMORY and small and not measured_in_cache:
+        return None
+    return cell.get("share_of_ceiling")
+
+
 def fastest(records: Sequence[Mapping[str, Any]], platform: str) -> dict[Key, tuple[Mapping[str, Any], str]]:
-    """Each timed cell of the fastest device of a platform, with the device's name."""
+    """Each timed cell of the fastest device of a platform, and the device; `share_of_ceiling` where it holds."""
     found: dict[Key, tuple[Mapping[str, Any], str]] = {}
     for record in records:
         if record["environment"]["platform"] != platform:
             continue
         for cell in record["cells"]:
             if "ms" in cell and (key(cell) not in found or cell["ms"] < found[key(cell)][0]["ms"]):
-                found[key(cell)] = cell, record["environment"]["device"]
+                share = share_of_ceiling(cell, record["ceilings"])
+                found[key(cell)] = {**cell, "share_of_ceiling": share}, record["environment"]["device"]
     return found
 
 
@@ -39,10 +56,10 @@ def planned() -> list[Key]:
 
 
 def platform_table(records: Sequence[Mapping[str, Any]]) -> str:
-    """A line for each cell of a GPU's run, and each that a GPU has timed: the fastest CPU, the fastest GPU."""
+    """A line for each cell that a GPU has timed, or that a run on one would and a CPU has: fastest CPU, fastest GPU."""
     cpu, gpu = (fastest(records, platform) for platform in PLATFORMS)
     order = {subject: k for k, subject in enumerate(ALL)}
-    known = [k for k in {*planned(), *gpu} if k[0] in order]
+    known = [k for k in {*gpu, *(k for k in planned() if k in cpu)} if k[0] in order]
     rows = []
     for identity in sorted(known, key=lambda k: (order[k[0]], *k[1:])):
         subject, config, vertices, batch, precision = identity

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks._platforms import aims_table, key, platform_table
+from benchmarks._platforms import aims_table, key, platform_table, share_of_ceiling
 from benchmarks.compare import ALL
 from benchmarks.record import RESULTS
 from measuring.records import table
@@ -41,10 +41,6 @@ UNITS = {
 STYLES: tuple[Any, ...] = ("-o", ":s", "--^", "-.v")
 """Line and marker of each device in the plots."""
 BEGIN = "# Benchmarks"
-BOUND_BY_MEMORY = ("Laplacian product", "solver step")
-"""Subjects whose ceiling is the memory's, on every machine."""
-CACHE_MB = 128.0
-"""Working sets below this may lie in a cache of the machine, 10⁶ bytes: last-level caches hold some tens of them."""
 
 
 @dataclass(frozen=True)
@@ -120,17 +116,11 @@ def subject_table(subject: str, records: Sequence[dict[str, Any]]) -> str:
 
 
 def ceiling_share(cell: Mapping[str, Any], ceilings: Mapping[str, Any]) -> str:
-    """Time at the ceiling over the time taken, in words where the record has no ceiling for this cell.
-
-    Records whose memory was measured on large arrays alone have none for working sets that may lie in a cache.
-    """
+    """Time at the ceiling over the time taken, in words where the record has no ceiling for this cell."""
     if "share_of_ceiling" not in cell:
         return "–"
-    measured_in_cache = "bandwidth_gb_s_by_mb" in ceilings
-    small = (cell.get("memory_mb") or 0.0) < CACHE_MB
-    if cell["subject"] in BOUND_BY_MEMORY and small and not measured_in_cache:
-        return "may fit in cache, no memory ceiling"
-    return f"{100 * cell['share_of_ceiling']:.0f} %"
+    share = share_of_ceiling(cell, ceilings)
+    return "may fit in cache, no memory ceiling" if share is None else f"{100 * share:.0f} %"
 
 
 def columns(cell: dict[str, Any], counted: str, ceiling: str) -> dict[str, str]:
