@@ -16,6 +16,7 @@ FINGERPRINTS = {
     "female": "a7d241f261f69cfca94580ee6a3b1915a6aba9a03b62310402fe6537ff1613ec",
     "male": "a53019a37d7cf0deb9b8c7a5732def073aa547bb78afe864c38ee6b76d88a88b",
     "neutral": "4ca4f744832ec939eaba47d6316e4bc35b53ee5d3b11354f514fa284a979bb50",
+    "makehuman": "b76f499eec8b49013cb3f30aa6bb3609c544bf91b03fce392844d0c7b5127bb2",
 }
 
 

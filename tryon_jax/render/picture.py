@@ -19,7 +19,9 @@ from tryon_jax.types import ArrayLike
 Mesh = tuple[ArrayLike, ArrayLike]
 """Vertices [V, 3] in metres and faces [F, 3]."""
 Paint = Float[ArrayLike, "V 3"] | Sequence[float]
-"""sRGB in 0 to 1: one colour for each vertex, or one for all."""
+"""Of the garment, sRGB in 0 to 1: one colour for each vertex, or one for all."""
+BodyPaint = Float[ArrayLike, "B 3"] | Sequence[float]
+"""The same of the body."""
 
 # Metres of air around the subject.
 _MARGIN = 0.09
@@ -32,7 +34,7 @@ def render_picture(
     *,
     views: Sequence[str | float] = ("front", "side", "back"),
     height: int = 900,
-    body_colors: Paint = SKIN.color,
+    body_colors: BodyPaint = SKIN.color,
     garment_colors: Paint = CLOTH.color,
     scale: ColorScale | None = None,
     crop: str = "body",
@@ -79,7 +81,7 @@ def draw(
     *,
     views: Sequence[str | float] = ("front", "side", "back"),
     height: int = 900,
-    body_colors: Paint = SKIN.color,
+    body_colors: BodyPaint = SKIN.color,
     garment_colors: Paint = CLOTH.color,
     crop: str = "body",
     focus: Float[np.ndarray, "N 3"] | None = None,

@@ -9,7 +9,7 @@ import numpy as np
 from tryon_jax.files.export import CLOTH, SKIN
 from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, to_image, write_words
-from tryon_jax.render.picture import Mesh, Paint, background, draw, focus_points
+from tryon_jax.render.picture import BodyPaint, Mesh, Paint, background, draw, focus_points
 from tryon_jax.render.scene import srgb_value
 
 
@@ -21,7 +21,7 @@ class SheetItem:
     garment: Mesh | None = None
     title: str = ""
     garment_colors: Paint = CLOTH.color
-    body_colors: Paint = SKIN.color
+    body_colors: BodyPaint = SKIN.color
 
 
 def contact_sheet(
