@@ -29,6 +29,7 @@ from benchmarks.record import RESULTS
 from benchmarks.report import load_records
 from measuring.records import slug
 from tryon_jax.checks import check_range
+from tryon_jax.files.compile_cache import keep_in
 
 NO_TRITON = "--xla_gpu_enable_triton_gemm=false"
 """XLA tries Triton's matrix products one by one while it compiles: ten times the time, for nothing at run time."""
@@ -103,9 +104,7 @@ def has_card(environment: MutableMapping[str, str]) -> bool:
 def keep_compiled(folder: Path) -> None:
     """Let JAX keep what it compiles in `folder` and find it there again."""
     folder.mkdir(parents=True, exist_ok=True)
-    jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    keep_in(folder)
 
 
 def limits_of(config: Config) -> compare.Config:

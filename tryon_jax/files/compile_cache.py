@@ -10,7 +10,6 @@ import contextlib
 import hashlib
 import os
 import platform
-import sys
 from pathlib import Path
 
 VARIABLE = "TRYON_JAX_CACHE"
@@ -18,15 +17,6 @@ MOST_BYTES = 300_000_000
 """Size to which the folder is cut at the start of a run, oldest programs first."""
 LEAST_SECONDS = 0.2
 """Programs that compile faster are not worth a file."""
-
-
-def user_cache() -> Path:
-    """Where this user's programs keep what can be made again."""
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def cache_folder() -> Path | None:
@@ -56,12 +46,18 @@ def keep_compiled_programs() -> Path | None:
         prune(folder)
     except OSError:
         return None
+    keep_in(folder)
+    return folder
+
+
+def keep_in(folder: Path) -> None:
+    """Let JAX keep what it compiles in a folder that is there, and find it there again."""
+    # Imported here: the command line decides about the cache before it loads JAX.
     import jax
 
-    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_compilation_cache_dir", str(folder.resolve()))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
-    return folder
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def prune(folder: Path, most: int = MOST_BYTES) -> int:

@@ -15,7 +15,6 @@ from jaxtyping import Array, Float
 from tryon_jax.contact.closest_points import point_on_faces
 from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.body_contact import (
-    Contact,
     ContactLaw,
     contact_at_faces,
     friction,
@@ -44,8 +43,8 @@ def at_rest(
     """Positions of a cloth that the solver has brought to rest, as a function of what they depend on.
 
     The value is the state's own; its derivatives, forward and reverse, with respect to `cloth` (a design, by
-    `rest_shape`), `fabric` and `surface` (a body's betas) are those of the equilibrium. Pure: jit, grad, jvp. In single
-    precision derivatives carry the rounding of stiff cloth: a per cent or so; in double they are exact.
+    `rest_shape`), `fabric` and `surface` (a body's betas) are those of the equilibrium. Pure: jit, grad, jvp. Tested in
+    double precision; in single precision the forces of stiff cloth are rounded, and so are their derivatives.
 
     Args:
         state: At rest, from `solve`; it is held constant.
@@ -107,7 +106,7 @@ def net_gradient(
         gravity: m/s², along −y.
     """
     gradient, _, _ = internal_forces(x, cloth, fabric)
-    contact: Contact = contact_at_faces(x, rest.face, cloth, fabric, surface, law, 0.0)
+    contact = contact_at_faces(x, rest.face, cloth, fabric, surface, law, 0.0)
     mass = cloth.vertex_areas * jnp.asarray(fabric.density, x.dtype)
     weight = jnp.zeros_like(x).at[:, 1].set(mass * gravity)
     # The skin carries the anchor of friction along, at the point that was touched at rest.

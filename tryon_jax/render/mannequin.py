@@ -1,5 +1,7 @@
 """The look of a shop's mannequin: pale matt skin with light underwear drawn on it, for pictures to be shown."""
 
+from functools import cache
+
 import numpy as np
 from jaxtyping import Float
 
@@ -28,6 +30,7 @@ def mannequin_colors(body: Body) -> Float[np.ndarray, "V 3"] | tuple[float, floa
     return (1 - share) * np.array([SKIN]) + share * np.array([UNDERWEAR])
 
 
+@cache
 def underwear(name: str) -> Float[np.ndarray, " V"]:
     """How much of each vertex of an embedded body is under briefs, or a band round the chest but on the male body."""
     weights = np.asarray(read_asset("topology", ["lbs_weights"])["lbs_weights"])

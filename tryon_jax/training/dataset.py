@@ -25,7 +25,6 @@ from typing import Any, Literal
 import numpy as np
 
 from tryon_jax.files.atomic import atomic_path, write_text
-from tryon_jax.files.compile_cache import user_cache
 from tryon_jax.physics.stretch import MAX_TENSION
 
 STATISTICS = ("residual", "steps", "depth", "inside", "self_intersections", "tension", "stretch")
@@ -68,7 +67,7 @@ class DatasetConfig:
 def default_root() -> Path:
     """Folder for datasets: $TRYON_JAX_DATA, or `tryon_jax/dataset` in the user's cache folder."""
     override = os.environ.get("TRYON_JAX_DATA")
-    cache = user_cache()
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
     return Path(override) if override else cache / "tryon_jax" / "dataset"
 
 

@@ -1,10 +1,9 @@
 """Coefficients of drape fields from the simulated drapes, by principal components over body shapes.
 
-The drapes of all garments lie close to the span of the same few functions of the betas: 24 of them leave 0.3 to 0.4 mm
-(`experiments bodies`). These functions are the principal components of the training drapes, known at the simulated
-shapes and carried to all others by a thin plate. A perceptron learns them once, before the networks are trained, and
-stays as it is. Trained together with the fields it fitted the simulated shapes and wavered between them: on one garment
-0.84 mm at the shapes that were seen and 1.52 mm at others, against 0.67 and 0.83 mm with principal components.
+The drapes of all garments lie close to the span of the same few functions of the betas. These are the principal
+components of the training drapes, known at the simulated shapes and interpolated to all others by a thin plate. A
+perceptron learns them once, before the networks are trained, and stays as it is. Trained together with the fields, it
+fitted the simulated shapes and was off between them (docs/training.md, *Coefficients*).
 """
 
 from collections.abc import Sequence
