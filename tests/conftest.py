@@ -1,6 +1,8 @@
 """Settings of every test: strict shapes, strict broadcasting, reproducible properties."""
 
+import gc
 import os
+import sys
 from collections.abc import Iterator
 
 import hypothesis
@@ -35,3 +37,20 @@ def unchecked() -> Iterator[None]:
     jaxtyping.config.update("jaxtyping_disable", True)
     yield
     jaxtyping.config.update("jaxtyping_disable", False)
+
+
+# Each compiled program takes a few memory mappings, and Linux allows a process 65,530 of them: past that, LLVM crashes.
+MANY_MAPPINGS = 20_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_mappings() -> Iterator[None]:
+    """Lets go of compiled programs between modules, before the process runs out of memory mappings."""
+    yield
+    if sys.platform != "linux":
+        return
+    with open("/proc/self/maps") as mappings:
+        count = sum(1 for _ in mappings)
+    if count > MANY_MAPPINGS:
+        jax.clear_caches()
+        gc.collect()
