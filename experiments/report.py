@@ -90,6 +90,10 @@ SECTIONS = {
         "Claim of the paper: interactive rates. Here beside the simulator that made the data and beside what one "
         "would write in an afternoon.",
     ),
+    "made_to_measure": (
+        "Made to measure",
+        "A pattern for one body, from the ease and the hem that are asked for. The paper has no such experiment.",
+    ),
     "inverse": (
         "Inverse problems",
         "The drape is differentiable in design and body: both can be solved for. The paper has no such experiment.",

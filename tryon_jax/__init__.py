@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     )
     from tryon_jax.types import Body
     from tryon_jax.wear.session import Session
+    from tryon_jax.wear.tailor import FitTarget, tailor
 
 __version__ = "0.1.0"
 
@@ -45,6 +46,7 @@ __all__ = [
     "ClosedSurface",
     "DesignSpace",
     "DrapeFields",
+    "FitTarget",
     "Garment",
     "Session",
     "TryOnConfig",
@@ -71,6 +73,7 @@ __all__ = [
     "save_model",
     "shape_body",
     "stack_garments",
+    "tailor",
     "vertex_normals",
 ]
 
@@ -81,6 +84,7 @@ _HOMES = {
     "ClosedSurface": "tryon_jax.contact.signed_distance",
     "DesignSpace": "tryon_jax.garment",
     "DrapeFields": "tryon_jax.tryon",
+    "FitTarget": "tryon_jax.wear.tailor",
     "Garment": "tryon_jax.tryon",
     "Session": "tryon_jax.wear.session",
     "TryOnConfig": "tryon_jax.nets.config",
@@ -107,6 +111,7 @@ _HOMES = {
     "save_model": "tryon_jax.tryon",
     "shape_body": "tryon_jax.body",
     "stack_garments": "tryon_jax.tryon",
+    "tailor": "tryon_jax.wear.tailor",
     "vertex_normals": "tryon_jax.body",
 }
 

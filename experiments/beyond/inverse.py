@@ -11,38 +11,23 @@ import numpy as np
 from jaxtyping import Array, Float
 from tqdm import tqdm
 
-from experiments.beyond.unknowns import (
-    Found,
-    Tape,
-    Unknowns,
-    girth_and_hem,
-    make_tape,
-    solve,
-    template_projection,
-)
-from experiments.shared.evaluate import body_vertices, case_names, open_model, spread
+from experiments.beyond.template import template_projection
+from experiments.shared.evaluate import case_names, open_model, spread
 from experiments.shared.neighbours import load_drapes
 from experiments.shared.record import RESULTS, publish
-from tryon_jax.body.landmarks import load_landmarks
-from tryon_jax.body.measurements import measure_vertices
 from tryon_jax.files.atomic import atomic_path
-from tryon_jax.garment import GarmentMesh, placement, remesh
+from tryon_jax.garment import GarmentMesh, remesh
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.physics.cloth import build_cloth
-from tryon_jax.physics.dressing import Equilibrium, Obstacle, dress, sweep
-from tryon_jax.physics.fabrics import load_fabric
-from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
-from tryon_jax.wear.fit import girth_round, tape_place
+from tryon_jax.wear.session import Session
+from tryon_jax.wear.tailor import FitTarget, sitting, tailor
+from tryon_jax.wear.unknowns import Found, Unknowns, solve
 
 BUCKET = 4608
 """Most garments of the design space fit, so that one size is compiled; larger ones get their own."""
-_PRIOR = 0.3
-"""Millimetres that a parameter one half range from its middle costs, where nothing else decides."""
-_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -85,7 +70,6 @@ class InverseProblems:
     def __init__(self, model: TryOnModel, fabric: str, bucket: int = BUCKET) -> None:
         self.model, self.fabric, self.bucket = model, fabric, bucket
         self.space = config_space(model.config)
-        self.landmarks = load_landmarks(model.body)
         size = len(self.space.names)
 
         # Made once, so that each is compiled once.
@@ -96,13 +80,7 @@ class InverseProblems:
             misses = 1e3 * weights[:, None] * (projection @ vertices - target)
             return jnp.concatenate([misses.ravel(), unknowns.beyond(units)])
 
-        def fit(units: Float[Array, " U"], args: Any) -> Float[Array, " R"]:
-            unknowns, garment, tape, betas, asked = args
-            vertices = drape(model, garment, betas, fabric=fabric, design=unknowns.values(units))
-            misses = jnp.stack(girth_and_hem(tape, vertices)) - asked
-            return jnp.concatenate([1e3 * misses, _PRIOR * units, unknowns.beyond(units)])
-
-        self._recover, self._fit = recover, fit
+        self._recover = recover
 
     def garment(self, values: np.ndarray, seed: int = 0) -> tuple[Garment, GarmentMesh]:
         """The garment of a design, meshed anew."""
@@ -116,7 +94,7 @@ class InverseProblems:
         self, target: Float[np.ndarray, "T 3"], seen: Float[np.ndarray, " T"], rounds: int, steps: int
     ) -> tuple[np.ndarray, np.ndarray, Found]:
         """Design and betas whose drape is nearest to a target, at the template's vertices with weights `seen`."""
-        unknowns = Unknowns.of(self.space, self.model.config.num_betas)
+        unknowns = Unknowns.of(self.space, self.model.config.beta_ranges)
         units, found = unknowns.units(np.concatenate([self.space.mean, np.zeros(self.model.config.num_betas)])), None
         size, total, residuals = len(self.space.names), 0, []
         for _ in range(rounds):
@@ -131,41 +109,6 @@ class InverseProblems:
         values = np.asarray(unknowns.values(units))
         return values[:size], values[size:], Found(units, total, residuals[-1], residuals)
 
-    def body(self, betas: np.ndarray) -> dict[str, Any]:
-        """A body with the place of the tape round its chest, its girth, stature and ground."""
-        vertices = body_vertices(self.model, np.asarray(betas, np.float32)[None])[0]
-        measured = measure_vertices(vertices.astype(np.float32), self.landmarks)
-        return {
-            "vertices": vertices,
-            "place": tape_place(self.landmarks, "chest", vertices.astype(np.float64)),
-            "chest": float(measured["chest"]),
-            "stature": float(measured["stature"]),
-            "ground": float(vertices[:, 1].min()),
-        }
-
-    def design_for(
-        self, betas: np.ndarray, ease: float, hem: float, rounds: int, steps: int
-    ) -> tuple[np.ndarray, Found]:
-        """The design whose ease at the chest and height of the hem (metres) on a body are as asked."""
-        unknowns, body = Unknowns.of(self.space, 0), self.body(betas)
-        units = unknowns.units(self.space.mean)
-        asked = np.array([body["chest"] + ease, hem], np.float32)
-        total, residuals = 0, []
-        for _ in range(rounds):
-            garment, mesh = self.garment(np.asarray(unknowns.values(units)))
-            tape: Tape = make_tape(garment, mesh, self.model.body, body["place"], body["ground"])
-            shape = np.asarray(betas, np.float32)
-            found = solve(self._fit, units, (unknowns, garment, tape, shape, asked), steps)
-            units, total = found.units, total + found.steps
-            residuals.append(found.residual)
-        return np.asarray(unknowns.values(units)), Found(units, total, residuals[-1], residuals)
-
-    def measured(self, vertices: np.ndarray, mesh: GarmentMesh, body: Mapping[str, Any]) -> tuple[float, float]:
-        """Ease at the chest by the cloth's exact length, and height of the hem; metres."""
-        girth = girth_round(vertices.astype(np.float64), mesh.faces, *body["place"])
-        hem = float(vertices[np.asarray(mesh.loops["hem"]), 1].mean()) - body["ground"]
-        return (float("nan") if girth is None else girth - body["chest"]), hem
-
 
 def main(config: Config) -> None:
     """Solve all problems and print, draw and store how near the answers are."""
@@ -179,9 +122,9 @@ def main(config: Config) -> None:
     names = cases["unseen design"] or cases["as trained"]
     names = [names[k] for k in spread(len(names), config.simulated)] if config.simulated else []
     recovered += [_simulated(problems, config, name) for name in tqdm(names, desc="simulated drapes", mininterval=2)]
-    fits, items = [], []
+    fits, items, session = [], [], Session(model, one_size=True)
     for asked in tqdm(config.fits, desc="fits", mininterval=2):
-        entry, cells = _find_design(problems, config, asked)
+        entry, cells = _find_design(session, config, asked)
         fits.append(entry)
         items += cells
     results = {"fabric": config.fabric, "recovered": recovered, "fits": fits, "names": list(problems.space.names)}
@@ -247,45 +190,39 @@ def _recovered(
 
 
 def _find_design(
-    problems: InverseProblems, config: Config, asked: tuple[float, float, float, float]
+    session: Session, config: Config, asked: tuple[float, float, float, float]
 ) -> tuple[dict[str, Any], list[SheetItem]]:
-    betas, ease = np.array(asked[:2]), asked[2]
-    body = problems.body(betas)
-    hem = asked[3] * body["stature"]
+    betas = np.array(asked[:2])
+    body = session.shape(betas)
+    target = FitTarget({"chest": asked[2]}, asked[3] * body.measurements["stature"])
     began = time.perf_counter()
-    design, found = problems.design_for(betas, ease, hem, config.rounds, config.steps)
+    found = tailor(session, target, betas, fabric=config.fabric)
     seconds = time.perf_counter() - began
-    garment, mesh = problems.garment(design)
-    predicted = garment.unpad(drape(problems.model, garment, betas.astype(np.float32), fabric=config.fabric))
-    drapes = {"predicted": predicted}
+    drapes = {"predicted": found.dressed}
     if config.simulate:
-        drapes["simulated"] = _simulate(problems, mesh, betas, config.fabric)
-    got = {kind: problems.measured(vertices, mesh, body) for kind, vertices in drapes.items()}
-    skin = body["vertices"], np.asarray(problems.model.body.faces)
+        drapes["simulated"] = session.simulate(found.dressed.garment, betas, fabric=config.fabric)
+    got = {kind: list(sitting(dressed, session, target).values()) for kind, dressed in drapes.items()}
     items = [
         SheetItem(
-            skin, (vertices, mesh.faces), f"{kind}: ease {100 * got[kind][0]:.1f} cm, hem {100 * got[kind][1]:.0f} cm"
+            (body.vertices, body.faces),
+            (dressed.vertices, dressed.faces),
+            f"{kind}: ease {_cm(got[kind][0])}, hem {_cm(got[kind][1])}",
         )
-        for kind, vertices in drapes.items()
+        for kind, dressed in drapes.items()
     ]
     entry = {
         "betas": betas,
-        "asked": [ease, hem],
-        "design": design,
+        "asked": list(target.as_dict().values()),
+        "design": found.design.values,
         "got": got,
-        "steps": found.steps,
+        "rounds": found.rounds,
         "seconds": seconds,
     }
     return entry, items
 
 
-def _simulate(problems: InverseProblems, mesh: GarmentMesh, betas: np.ndarray, fabric_name: str) -> np.ndarray:
-    fabric = load_fabric(fabric_name)
-    cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
-    obstacle, settings, rest = Obstacle(problems.model.body), SolverSettings(), Equilibrium()
-    mean = dress(placement(mesh), cloth, fabric, obstacle, settings, rest, [0.0] * len(betas))
-    ray = betas[None] * (np.arange(1, _STEPS + 1) / _STEPS)[:, None]
-    return list(sweep(mean, ray, cloth, fabric, obstacle, settings, rest))[-1].vertices
+def _cm(value: float | None) -> str:
+    return "none" if value is None else f"{100 * value:.1f} cm"
 
 
 def markdown(results: Mapping[str, Any]) -> list[str]:
@@ -312,12 +249,12 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
             f"| {maker} ({len(chosen)} drapes) | {' | '.join(cells)} | {' · '.join(f'{b:.3f}' for b in betas)} | "
             f"{residual:.2f} | {steps:.0f} | {seconds:.1f} |"
         )
-    fits = fits_of(results)
+    fits = results["fits"]
     if fits:
         lines += [
             "",
             "| asked: body (betas), ease at the chest, height of the hem, cm | design found, cm | "
-            "model's drape: ease · hem, cm | simulated: ease · hem, cm | steps | seconds |",
+            "model's drape: ease · hem, cm | simulated: ease · hem, cm | rounds | seconds |",
             "|---|---|---|---|---|---|",
         ]
     for entry in fits:
@@ -329,16 +266,9 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
             for kind in ("predicted", "simulated")
         ]
         lines.append(
-            f"| {shape}: {ease} · {hem} | {design} | {got[0]} | {got[1]} | {entry['steps']} | {entry['seconds']:.1f} |"
+            f"| {shape}: {ease} · {hem} | {design} | {got[0]} | {got[1]} | {entry['rounds']} | {entry['seconds']:.1f} |"
         )
     return lines
-
-
-def fits_of(results: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The fits of a record; older records call them "wishes", and what was asked for a "wish"."""
-    if "fits" in results:
-        return results["fits"]
-    return [{**entry, "asked": entry["wish"]} for entry in results["wishes"]]
 
 
 def draw(path: Path, results: Mapping[str, Any]) -> None:
