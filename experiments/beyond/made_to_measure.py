@@ -84,7 +84,7 @@ def _most_ease(session: Session, betas: np.ndarray) -> float:
 def _possible(session: Session, betas: np.ndarray, rng: np.random.Generator) -> FitTarget:
     """An ease and a hem that the pattern can give this body."""
     body = session.shape(betas)
-    low, high = _range(session, "chest")
+    low, _ = _range(session, "chest")
     ease = rng.uniform(max(_LEAST_EASE, low - body.measurements["chest"]), _most_ease(session, betas))
     shoulder = session.drape(session.prepare("tshirt"), betas).vertices[:, 1].max() - body.vertices[:, 1].min()
     return FitTarget({"chest": float(ease)}, float(shoulder - rng.uniform(*_range(session, "length"))))
@@ -122,11 +122,12 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
     """How often fits are met, and how far they are off."""
     cases = results["cases"]
     how = "with the simulator's corrections (`--refine`)" if results["refine"] else "by the networks alone"
+    seconds, rounds = (np.mean([case[key] for case in cases]) for key in ("seconds", "rounds"))
     lines = [
         f"{len(cases)} random bodies in {results['fabric']} that the pattern's widest chest goes round, each with a "
-        f"random ease at the chest and height of the hem, tailored {how} from the T-shirt, {np.mean([case['seconds'] for case in cases]):.1f} s and "
-        f"{np.mean([case['rounds'] for case in cases]):.1f} rounds each. Met: ease within "
-        f"{1e3 * EASE_WITHIN:.0f} mm and hem within {1e3 * HEM_WITHIN:.0f} mm.",
+        f"random ease at the chest and height of the hem, tailored {how} from the T-shirt, {seconds:.1f} s and "
+        f"{rounds:.1f} rounds each. Met: ease within {1e3 * EASE_WITHIN:.0f} mm and hem within "
+        f"{1e3 * HEM_WITHIN:.0f} mm.",
         "",
         "| lengths of | met | ease off, mm: median (worst) | hem off, mm: median (worst) |",
         "|---|---|---|---|",
