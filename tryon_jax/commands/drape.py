@@ -12,12 +12,13 @@ from typing import Literal
 from tryon_jax.body import load_smpl
 from tryon_jax.checks import check_file, check_range
 from tryon_jax.commands._answer import Treatment, answer
-from tryon_jax.commands._batch import TABLE, Batch
+from tryon_jax.commands._batch import Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import report_lines
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._say import say
+from tryon_jax.commands._table import TABLE
 from tryon_jax.files.atomic import check_target
 from tryon_jax.files.export import WRITERS
 from tryon_jax.tryon import TryOnModel, load_model
