@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from tryon_jax.files.export import linear_light
 from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.mesh.topology import border_edges, directed_edges
 from tryon_jax.render.light import Casters, sky_light
@@ -44,11 +45,6 @@ class Scene:
     """Points of the floor; rows along z, columns along x."""
     floor_sky: Float[np.ndarray, "N N"]
     """Light of the sky on them."""
-
-
-def linear_light(srgb: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values in 0 to 1 (IEC 61966-2-1)."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def srgb_value(linear: np.ndarray) -> np.ndarray:
