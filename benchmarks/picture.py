@@ -54,7 +54,7 @@ def main(config: Config) -> None:
                             "height, pixels": height,
                             "wall, ms": wall,
                             "processor, ms": cpu,
-                            "file, kB": round(path.stat().st_size / 1e3),
+                            "file, kB": path.stat().st_size / 1e3,
                         }
                     )
     print(table(rows))

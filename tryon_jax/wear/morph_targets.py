@@ -84,9 +84,9 @@ class MorphTargets:
         extent = ", ".join(f"beta{k} = ±{value:g}" for k, value in enumerate(self.extent, start=1))
         return [
             f"morphs   {len(self.moves)} targets ({', '.join(self.names)}); weight 1 is {extent}",
-            f"error    {1e3 * error.mean:.1f} mm from the drape on average, {1e3 * error.largest:.0f} mm at most, on "
+            f"morphs   {1e3 * error.mean:.1f} mm from the drape on average, {1e3 * error.largest:.0f} mm at most, on "
             f"{_TESTED} random bodies; {1e3 * alone.mean:.1f} and {1e3 * alone.largest:.0f} mm without the products",
-            f"inside   {100 * error.inside:.2f} % of the vertices, {1e3 * error.deepest:.1f} mm at most",
+            f"morphs   {100 * error.inside:.2f} % of the vertices in the body, {1e3 * error.deepest:.1f} mm at most",
         ]
 
 
