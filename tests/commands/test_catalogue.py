@@ -135,6 +135,9 @@ def test_all_bad_rows_of_both_files_are_named(lists, weights, tmp_path, capsys):
     said = capsys.readouterr().err
     assert "unknown column of designs.csv 'betas'" in said
     assert "row 1 of bodies.csv: betas must be a number, got 'x'" in said
+    lists[0].write_text("name,design\n..,dress\n")
+    assert main(arguments(lists, weights, out)) == 1
+    assert "name = '..' must be a plain file name" in capsys.readouterr().err
     assert not out.exists()
     for more, words in ((("--body-mesh",), "for --format glb"), (("--block", "0"), "--block = 0")):
         assert main(arguments(lists, weights, out, *more)) == 1

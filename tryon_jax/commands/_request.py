@@ -166,7 +166,7 @@ def read_requests(path: Path, columns: Sequence[str] = (*GARMENT_COLUMNS, *BODY_
 
 def _request(cells: Mapping[str, str], name: str) -> Request:
     name = cells.get("name", name)
-    if Path(name).name != name:
+    if Path(name).name != name or name == "..":
         raise ValueError(f"name = {name!r} must be a plain file name without a directory")
     cut = Cut(
         design=cells.get("design"),
