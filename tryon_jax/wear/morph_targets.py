@@ -230,7 +230,7 @@ def write_morphs(path: str | Path, morphs: MorphTargets, betas: Float[np.ndarray
         "garment": garment.label,
         "fabric": morphs.fabric,
         "betas_at_weight_1": [float(value) for value in morphs.extent],
-        "weights": "with b = beta / betas_at_weight_1: beta+ is max(b, 0), beta- is max(-b, 0), a product is b * b",
+        "weights": "with b = beta / betas_at_weight_1: beta+ is max(b, 0), beta- is max(-b, 0), beta1*beta2 is b1 * b2",
         "error_m": asdict(morphs.error),
         "error_without_products_m": asdict(morphs.sliders),
     }
