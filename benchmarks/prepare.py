@@ -4,7 +4,6 @@ python -m benchmarks prepare
 python -m benchmarks prepare --designs 200
 """
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,7 @@ from tqdm import tqdm
 from benchmarks._networks import PAPER_SIZES, random_model
 from benchmarks.record import write_record
 from measuring.records import table
+from measuring.timing import milliseconds
 from tryon_jax.garment import load_design_space, placement, remesh
 from tryon_jax.graph import build_graph, padding_share
 from tryon_jax.graph.build import closest_body_vertices
@@ -43,17 +43,6 @@ class Config:
     """Seed of the random designs."""
     save: bool = True
     """Keep the result under `benchmarks/results/`."""
-
-
-def milliseconds(call: Callable[[], Any], repeats: int) -> tuple[float, float]:
-    """Median wall-clock and median processor time."""
-    walls, cpus = [], []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
-        call()
-        walls.append(1e3 * (time.perf_counter() - wall))
-        cpus.append(1e3 * (time.process_time() - cpu))
-    return float(np.median(walls)), float(np.median(cpus))
 
 
 def hierarchy(

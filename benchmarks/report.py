@@ -1,4 +1,8 @@
-"""Merge the records of `python -m benchmarks compare` into docs/BENCHMARKS.md: tables and plots, device by device."""
+"""Merge the records of `python -m benchmarks compare` into docs/BENCHMARKS.md, or compare two records of any benchmark.
+
+python -m benchmarks report
+python -m benchmarks report --compare before.json after.json
+"""
 
 import json
 import statistics
@@ -7,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks._before_after import compared, read_record
 from benchmarks._platforms import aims_table, key, platform_table, share_of_ceiling
 from benchmarks.compare import ALL
 from benchmarks.record import RESULTS
@@ -53,6 +58,8 @@ class Config:
     """The page; its plots go to images/ beside it."""
     plots: bool = True
     """Draw the plots (extra `pictures`)."""
+    compare: tuple[Path, Path] | None = None
+    """Two records of one benchmark, before a change and after it: print every time of both and their ratio instead."""
 
 
 def load_records(folder: Path) -> list[dict[str, Any]]:
@@ -254,7 +261,10 @@ def colour(subject: str) -> str:
 
 
 def main(config: Config) -> None:
-    """Write the page and its plots."""
+    """Write the page and its plots, or print how two records differ."""
+    if config.compare is not None:
+        print(compared(*(read_record(path) for path in config.compare)))
+        return
     records = load_records(config.results)
     pictures = draw(records, config.out.parent / "images") if config.plots else []
     write_text(config.out, page(records, pictures))

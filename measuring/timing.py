@@ -55,3 +55,19 @@ def measure(
         times.append(time.perf_counter() - start)
     low, middle, high = np.quantile(times, [0.25, 0.5, 0.75])
     return Timing(first, float(middle), float(low), float(high), len(times))
+
+
+def milliseconds(call: Callable[[], Any], repeats: int) -> tuple[float, float]:
+    """Median wall-clock and median processor time of work on the host.
+
+    Args:
+        call: what is timed.
+        repeats: calls that are timed.
+    """
+    walls, cpus = [], []
+    for _ in range(repeats):
+        wall, cpu = time.perf_counter(), time.process_time()
+        call()
+        walls.append(1e3 * (time.perf_counter() - wall))
+        cpus.append(1e3 * (time.process_time() - cpu))
+    return float(np.median(walls)), float(np.median(cpus))

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from experiments.shared.pool import checksums, open_pool, run_all
 from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import write_text
+from tryon_jax.files.pool import checksums, open_pool, run_all
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import DatasetConfig, default_root, open_dataset, remove_leftovers
 from tryon_jax.training.generate import run_batch

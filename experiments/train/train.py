@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from experiments.shared.pool import open_pool
 from experiments.train import train_collisions, train_fine, train_mean, train_smooth
+from tryon_jax.files.pool import open_pool
 from tryon_jax.nets.config import Size
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root

@@ -52,6 +52,22 @@ def test_drape_writes_mesh_picture_and_report_and_tells_the_time(weights, tmp_pa
     assert picture.stat().st_size > 1000
 
 
+def test_morph_targets_are_written_with_their_error(weights, tmp_path, capsys):
+    path = tmp_path / "dress.glb"
+    command = ["drape", "--weights", weights, "--design", "dress", "--betas", "1.5", *COARSE, "--morph-targets"]
+    assert main([*command, "--out", str(path)]) == 0
+    assert "5 targets (beta1+, beta1-, beta2+, beta2-, beta1*beta2)" in capsys.readouterr().out
+    # All networks are zero: the garment stays, and only the body moves.
+    assert b'"betas_at_weight_1"' in path.read_bytes()
+    for more, words in (
+        (["--out", str(tmp_path / "a.obj")], "needs --out with a .glb file"),
+        (["--out", str(path), "--simulate"], "leave out --simulate"),
+        (["--out", str(path), "--parts", "body"], "leave out --parts body"),
+    ):
+        assert main([*command, *more]) == 1
+        assert words in capsys.readouterr().err
+
+
 def test_cloth_inside_the_body_is_pushed_out(weights, tmp_path, capsys):
     """A tube of cloth that dips a few millimetres into the hips."""
     body = load_body("female")

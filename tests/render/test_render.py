@@ -5,8 +5,9 @@ from PIL import Image
 
 from tryon_jax.render import ColorScale, SheetItem, contact_sheet, draw, render_picture
 from tryon_jax.render.camera import VIEWS, Camera
-from tryon_jax.render.light import sky_light
-from tryon_jax.render.raster import rasterize
+from tryon_jax.render.light import Casters, DepthMap, sky_light
+from tryon_jax.render.raster import nearest_depth, rasterize
+from tryon_jax.render.scene import build_scene
 
 
 def ball(radius=0.4, center=(0.0, 0.0, 0.0), subdivisions=3):
@@ -49,14 +50,18 @@ def test_a_closed_mesh_has_no_holes():
     )
 
 
-def test_corner_weights_give_the_pixel_back():
+@pytest.mark.parametrize("shifts", [(0.0,), (-0.125, 0.375, -0.375)])
+def test_corner_weights_give_the_sampled_point_back(shifts):
     vertices, faces = ball()
     points = vertices * [100, 100, 1] + [50, 50, 0]
-    fragments = rasterize(points, faces, 100, 100)
+    fragments = rasterize(points, faces, 100, 100, shifts)
+    if shifts == (0.0,):
+        np.testing.assert_array_equal(nearest_depth(points, faces, 100, 100), fragments.depth)
     row, column = np.nonzero(fragments.face >= 0)
     weights = fragments.corner_weights(faces, row, column)
     back = np.einsum("nk,nkd->nd", weights, points[faces[fragments.face[row, column]]])
-    np.testing.assert_allclose(back[:, :2], np.stack([column, row], 1) + 0.5, atol=1e-6)
+    at = np.stack([column + 0.5 + np.take(shifts, row % len(shifts)), row + 0.5], 1)
+    np.testing.assert_allclose(back[:, :2], at, atol=1e-6)
     np.testing.assert_allclose(back[:, 2], fragments.depth[row, column], atol=1e-5)
 
 
@@ -85,12 +90,35 @@ def test_rays_pass_through_what_was_projected():
     np.testing.assert_allclose(cosine, 1, atol=1e-12)
 
 
-def test_the_sky_is_hidden_inside_a_closed_ball_and_open_outside():
+@pytest.mark.parametrize("closed", [False, True])
+def test_the_sky_is_hidden_inside_a_closed_ball_and_open_outside(closed):
     vertices, faces = ball(0.5)
     points = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-    light = sky_light(vertices, faces, points, np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]))
+    casters = Casters.of(vertices, faces, np.full(len(faces), closed))
+    light = sky_light(casters, points, np.array([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0]]))
     assert light[0] == 0
     assert light[1] == pytest.approx(1.12, rel=0.05)  # integral of cos (0.62 + 0.75 cos) over the hemisphere, over pi
+
+
+def test_light_meets_the_front_of_closed_surfaces_first():
+    vertices, faces = ball()
+    both, front = (Casters.of(vertices, faces, np.full(len(faces), closed)) for closed in (False, True))
+    for direction in np.eye(3):
+        assert len(both.towards(direction)) == len(faces)
+        assert len(front.towards(direction)) < 0.6 * len(faces)
+        whole, half = (DepthMap.of(casters, direction, 64).depth for casters in (both, front))
+        np.testing.assert_array_equal(whole, half)
+
+
+def test_only_closed_bodies_lose_their_backs():
+    vertices, faces = ball()
+    colors = np.array([0.5, 0.5, 0.5])
+    for mesh, closed in (
+        ((vertices, faces), True),
+        ((vertices, faces[:, ::-1]), False),
+        ((vertices, faces[1:]), False),
+    ):
+        assert (build_scene(mesh, None, colors, colors).face_is_closed == closed).all()
 
 
 # Pictures

@@ -6,7 +6,6 @@ go on. A row is done again only when it failed, when its files are gone, or when
 
 import csv
 import hashlib
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,32 +20,11 @@ from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import record, report_lines
 from tryon_jax.commands._request import Request
 from tryon_jax.commands._say import say
+from tryon_jax.commands._table import FAILED, TABLE, cell, columns, csv_text, flatten
 from tryon_jax.files.atomic import write_text
 from tryon_jax.physics.dressing import Diverged
-from tryon_jax.wear.fit import EASE_AT
 from tryon_jax.wear.gate import Refused
 from tryon_jax.wear.session import Session
-
-TABLE = "fit.csv"
-"""The table of a batch, in its directory."""
-FAILED = "failed"
-"""Outcome of a row that could not be draped; the others are those of the gate."""
-
-
-def columns(parameters: Sequence[str]) -> list[str]:
-    """Columns of the table: the same for every batch of one design space."""
-    girths = [
-        f"{kind}_{place}"
-        for kind in ("body_girth", "garment_girth", "ease", "girth_stretch", "pull")
-        for place in EASE_AT
-    ]
-    return [
-        *("name", "outcome", "error", "findings", "garment"),
-        *(f"design_{name}" for name in parameters),
-        *("betas", "fabric", "vertices"),
-        *girths,
-        *("too_tight", "tension_95", "tension_max", "vertices_inside", "deepest_inside", "order"),
-    ]
 
 
 @dataclass(frozen=True)
@@ -88,7 +66,7 @@ class Batch:
                 continue
             say(f"-- {request.name}")
             row = self._row(session, request, target, clock)
-            rows[request.name] = {name: _cell((row | {"order": order}).get(name)) for name in names}
+            rows[request.name] = {name: cell((row | {"order": order}).get(name)) for name in names}
             if row.get("error"):
                 failed.append(request.name)
             # Rows of before that are still to come are kept, so that an interrupted run loses nothing.
@@ -108,7 +86,7 @@ class Batch:
             say(f"failed   {error}")
             return {"name": request.name, "outcome": FAILED, "error": str(error)}
         say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written))
-        return _flatten(record(dressed, request.name))
+        return flatten(record(dressed, request.name))
 
     def _order(self, request: Request) -> str:
         """A fingerprint of what is asked for."""
@@ -126,31 +104,8 @@ class Batch:
             return {row["name"]: row for row in reader}
 
     def _write(self, names: Sequence[str], rows: Sequence[Mapping[str, str] | None]) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, fieldnames=list(names), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows([row for row in rows if row is not None])
-        write_text(self.folder / TABLE, text.getvalue())
+        write_text(self.folder / TABLE, csv_text(names, [row for row in rows if row is not None]))
 
 
 def _is_done(row: Mapping[str, str], target: Target) -> bool:
     return not row["error"] and all(path.is_file() for path in target.paths)
-
-
-def _flatten(row: Mapping[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in row.items():
-        if isinstance(value, Mapping):
-            flat |= {f"{key}_{inner}": number for inner, number in value.items()}
-        else:
-            flat[key] = value
-    return flat
-
-
-def _cell(value: Any) -> str:
-    """A value as one cell: lists with spaces or semicolons between, nothing for what is not there."""
-    if value is None:
-        return ""
-    if isinstance(value, list | tuple):
-        return "; ".join(value) if value and isinstance(value[0], str) else " ".join(f"{number:g}" for number in value)
-    return str(value)

@@ -1,121 +1,318 @@
-"""Draping a catalogue: many garments on many bodies, as independent blocks that any number of processes may work on.
+"""Garments × bodies, as independent blocks that any number of processes may work on.
 
-    ROOT/catalogue.json               what was asked for; a folder belongs to one catalogue
-    ROOT/<garment>/garment.npz        faces, design parameters and the drape on the mean body
-    ROOT/<garment>/<block>.npz        vertices [B, V, 3] in metres and the betas [B, b] of a block of bodies
+    FOLDER/catalogue.json              what was asked for: the bodies and options of a folder are of one catalogue
+    FOLDER/<garment>/<block>.npz       the drapes of a block of bodies, or FOLDER/<garment>/<body>.glb
+    FOLDER/<garment>/<block>.csv       their fits; written last, so that a block with a table is done
 
-Garments and bodies are drawn by number from a seed: each is the same however many there are and whoever drapes it.
+A block of a garment is done again where the garment's row has changed, a drape of it failed, or a file is gone.
 """
 
+import csv
 import functools
+import hashlib
 import json
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.checks import check_choice, check_range
-from tryon_jax.files.atomic import write_text
-from tryon_jax.garment import Design
-from tryon_jax.training.dataset import save_arrays
-from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, load_model, load_pretrained, prepare
+from tryon_jax.commands._answer import Treatment, check
+from tryon_jax.commands._report import record
+from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_design
+from tryon_jax.commands._table import FAILED, TABLE, cell, columns, csv_text, flatten
+from tryon_jax.contact.push_out import CLEARANCE
+from tryon_jax.files.atomic import atomic_path, write_text
+from tryon_jax.tryon import drape, load_model, load_pretrained
+from tryon_jax.wear.dressed import PARTS, DressedBody
+from tryon_jax.wear.prepared import PreparedGarment
+from tryon_jax.wear.session import Session
+
+NOT_JUDGED = "not judged"
+"""Outcome of a drape whose fit was not asked for."""
 
 
 @dataclass(frozen=True)
-class CatalogueConfig:
-    """What a catalogue holds."""
+class Options:
+    """What is done to every drape of a catalogue, and how it is written."""
 
-    model: str = "small"
-    """A pretrained model's name, or the path of a safetensors file."""
-    fabric: str = "gray-interlock"
-    garments: int = 100
-    """Random designs of the model's design space."""
-    bodies: int = 256
-    """Random body shapes, the same for all garments."""
-    block: int = 64
-    """Bodies in a file."""
+    fabric: str
+    """Of the garments whose row names none."""
+    weights: str = ""
+    """File of learned parameters; "" for those that come with the package."""
+    triangle_area: float | None = None
+    """Mean area of the cloth's triangles, square metres; what the networks were trained on when None."""
     seed: int = 0
+    push_out: bool = True
+    fit: bool = True
+    """Measure and judge every drape."""
+    gate: bool = True
+    """Leave out drapes that are torn or lie in the body."""
+    format: str = "npz"
+    body_mesh: bool = False
+    """Whether a GLB file has the body too."""
+    block: int = 256
+    """Bodies of a block."""
 
 
-def open_catalogue(root: Path, config: CatalogueConfig) -> list[tuple[str, int, int]]:
-    """Create the folder, or check that it belongs to the same catalogue, and list the blocks that are missing.
+@dataclass(frozen=True, eq=False)
+class Catalogue:
+    """What is asked for, checked."""
 
-    Returns:
-        Arguments of `drape_block` for each missing block, garment by garment.
+    garments: Sequence[Request]
+    bodies: Sequence[str]
+    """Names."""
+    betas: Float[np.ndarray, "B b"]
+    options: Options
+
+    @property
+    def blocks(self) -> int:
+        """Blocks of each garment."""
+        return -(-len(self.bodies) // self.options.block)
+
+    def order(self, garment: int) -> str:
+        """A fingerprint of a garment's row."""
+        return hashlib.sha256(repr(self.garments[garment]).encode()).hexdigest()[:12]
+
+    def table(self, root: Path, garment: int, block: int) -> Path:
+        """File of the fits of one block."""
+        return root / self.garments[garment].name / f"{block:05d}.csv"
+
+    def is_done(self, root: Path, garment: int, block: int) -> bool:
+        """Whether all files of a block are there, and of this garment."""
+        table = self.table(root, garment, block)
+        if not table.is_file():
+            return False
+        with table.open(newline="", encoding="utf-8") as stream:
+            rows = csv.DictReader(stream)
+            first = next(rows, None)
+            if first is None or first.get("order") != self.order(garment):
+                return False
+            if self.options.format == "npz":
+                return table.with_suffix(".npz").is_file()
+            written = [row["body"] for row in (first, *rows) if row["outcome"] != "refused"]
+        return all((table.parent / f"{name}.glb").is_file() for name in written)
+
+    def as_text(self) -> str:
+        """For the catalogue's file."""
+        garments = [{"name": g.name, "cut": asdict(g.cut), "fabric": g.fabric, "mesh": g.mesh} for g in self.garments]
+        bodies = {name: [float(b) for b in row] for name, row in zip(self.bodies, self.betas, strict=True)}
+        whole = {"options": asdict(self.options), "bodies": bodies, "garments": garments}
+        return json.dumps(whole, indent=1, default=str) + "\n"
+
+
+def make_catalogue(
+    session: Session, garments: Sequence[Request], bodies: Sequence[Request], options: Options
+) -> Catalogue:
+    """Look at every garment and every body before any is draped.
+
+    Args:
+        session: Of the networks.
+        garments: Rows of designs or meshes.
+        bodies: Rows of body shapes.
+        options: What is done to each.
 
     Raises:
-        ValueError: a number is out of range, the fabric is unknown, or the folder belongs to another catalogue.
+        ValueError: A row cannot be draped; all such rows of both files are named.
     """
-    check_range("garments", config.garments, 1, 10**9)
-    check_range("bodies", config.bodies, 1, 10**9)
-    check_range("block", config.block, 1, 4096)
-    check_choice("fabric", config.fabric, _load(config.model).fine)
-    path, wanted = root / "catalogue.json", asdict(config)
-    if not path.exists():
-        write_text(path, json.dumps(wanted, indent=1) + "\n")
-    found = json.loads(path.read_text(encoding="utf-8"))
-    different = [f"{k} = {found.get(k)!r} (asked for {wanted[k]!r})" for k in wanted if found.get(k) != wanted[k]]
-    if different:
-        raise ValueError(f"{str(root)!r} holds another catalogue: {', '.join(different)}; choose another folder")
-    blocks = [(str(root), g, b) for g in range(config.garments) for b in range(-(-config.bodies // config.block))]
-    return [block for block in blocks if not block_path(*block).exists()]
+    treatment = Treatment(push_out=options.push_out, gate=options.gate)
+    bad, shapes = [], []
+    for garment in garments:
+        try:
+            check(session, replace(garment, fabric=garment.fabric or options.fabric), treatment)
+        except (ValueError, OSError) as error:
+            bad.append(f"garment {garment.name}: {error}")
+    for body in bodies:
+        try:
+            check(session, body, treatment)
+            shapes.append(resolve_betas(session.body, body.shape, session.num_betas)[0])
+        except ValueError as error:
+            bad.append(f"body {body.name}: {error}")
+    if bad:
+        raise ValueError(f"{len(bad)} of {len(garments) + len(bodies)} rows cannot be draped: {'; '.join(bad)}")
+    return Catalogue(garments, [body.name for body in bodies], np.stack(shapes).astype(np.float32), options)
 
 
-def block_path(root: str, garment: int, block: int) -> Path:
-    """File of one block."""
-    return Path(root) / f"{garment:06d}" / f"{block:05d}.npz"
+def open_catalogue(root: Path, catalogue: Catalogue) -> list[tuple[str, int, int]]:
+    """Create the folder, or check that it belongs to the same bodies and options, and list the blocks that are missing.
+
+    Returns:
+        Arguments of `drape_block` for each, garment by garment.
+
+    Raises:
+        ValueError: The folder belongs to another catalogue, or has a file of this name that is none.
+    """
+    path, text = root / "catalogue.json", catalogue.as_text()
+    if path.exists():
+        found, wanted = (json.loads(t) for t in (path.read_text(encoding="utf-8"), text))
+        options = {**wanted["options"], "bodies": wanted["bodies"]}
+        before = {**found["options"], "bodies": found["bodies"]}
+        different = [
+            "other bodies" if key == "bodies" else f"{key} = {before.get(key)!r} (asked for {value!r})"
+            for key, value in options.items()
+            if before.get(key) != value
+        ]
+        if different:
+            raise ValueError(f"{str(root)!r} holds another catalogue: {', '.join(different)}; choose another folder")
+    write_text(path, text)
+    tasks = [(g, b) for g in range(len(catalogue.garments)) for b in range(catalogue.blocks)]
+    return [(str(root), g, b) for g, b in tasks if not catalogue.is_done(root, g, b)]
 
 
 def drape_block(root: str, garment: int, block: int) -> str:
-    """Drape one block of bodies unless its file exists; returns a line for the log ("" if there was nothing to do)."""
-    path = block_path(root, garment, block)
-    if path.exists():
+    """Drape one garment on one block of bodies unless that is done.
+
+    Args:
+        root: Folder of the catalogue.
+        garment: Number of the garment.
+        block: Number of the block.
+
+    Returns:
+        A line for the log, "" if there was nothing to do.
+    """
+    folder = Path(root)
+    catalogue = _read(root, (folder / "catalogue.json").stat().st_mtime_ns)
+    if catalogue.is_done(folder, garment, block):
         return ""
-    config = CatalogueConfig(**json.loads((Path(root) / "catalogue.json").read_text(encoding="utf-8")))
-    model, prepared = _prepared(config, garment)
-    first = block * config.block
-    count = min(config.block, config.bodies - first)
-    # The last block is filled up with its own bodies: one shape of batch is compiled for each bucket.
-    numbers = first + np.arange(config.block) % count
-    betas = catalogue_betas(config.seed, numbers, model.config.beta_ranges)
-    vertices = prepared.unpad(_drape(model, prepared, betas, fabric=config.fabric))[:count]
-    mesh = path.parent / "garment.npz"
-    if not mesh.exists():
-        assert prepared.design is not None
-        arrays = {"faces": prepared.faces, "design": np.asarray(prepared.design), "mean": prepared.mean_vertices}
-        save_arrays(mesh, arrays)
-    save_arrays(path, {"vertices": vertices, "betas": betas[:count]})
-    return f"garment {garment}, block {block}: {count} bodies, {prepared.num_vertices} vertices"
+    options, request = catalogue.options, catalogue.garments[garment]
+    session = open_session(options.weights, options.triangle_area)
+    design = None if request.mesh is not None else resolve_design(session.space, request.cut)
+    prepared = session.prepare(design, mesh=request.mesh, seed=options.seed)
+    fabric = request.fabric or options.fabric
+    first = block * options.block
+    names, betas = catalogue.bodies[first:][: options.block], catalogue.betas[first:][: options.block]
+    # The last block is filled up with its own bodies: one shape of batch is compiled for each size of garment.
+    filled = betas[np.arange(min(options.block, len(catalogue.bodies))) % len(betas)]
+    drapes = prepared.garment.unpad(_drape(session.model, prepared.garment, filled, fabric=fabric))
+    rows, done = [], []
+    for name, shape, vertices in zip(names, betas, drapes, strict=False):
+        row: dict[str, Any] = {"betas": shape.tolist(), "fabric": fabric}
+        try:
+            dressed = _dress(session, prepared, shape, fabric, vertices, options)
+            row = {"outcome": NOT_JUDGED} | flatten(record(dressed, request.name))
+            if not (options.gate and row["outcome"] == "refused"):
+                done.append((name, dressed, row))
+        except (ValueError, FloatingPointError) as error:
+            row |= {"outcome": FAILED, "error": str(error)}
+        rows.append(row | {"name": request.name, "body": name})
+    table = catalogue.table(folder, garment, block)
+    if options.format == "npz":
+        rounding = _write_drapes(table.with_suffix(".npz"), prepared, done)
+        rows = [row | {"rounding": rounding.get(row["body"])} for row in rows]
+    else:
+        for name, dressed, _ in done:
+            parts = PARTS if options.body_mesh else ("garment",)
+            dressed.write(table.parent / f"{name}.glb", parts=parts, gate=False)
+    failed = sum(row["outcome"] == FAILED for row in rows)
+    order = "" if failed else catalogue.order(garment)
+    header = table_columns(session.space.names)
+    write_text(table, csv_text(header, [{k: cell((row | {"order": order}).get(k)) for k in header} for row in rows]))
+    return f"{request.name}, block {block}: {len(done)} of {len(rows)} bodies"
 
 
-def catalogue_design(model: TryOnModel, seed: int, garment: int) -> Design:
-    """Design of a garment by its number, evenly spread over the design space."""
-    space = config_space(model.config)
-    share = np.random.default_rng((seed, 0, garment)).random(len(space.names))
-    return space.from_values(space.minimum + share * (space.maximum - space.minimum))
+def _dress(
+    session: Session,
+    prepared: PreparedGarment,
+    betas: Float[np.ndarray, " b"],
+    fabric: str,
+    vertices: Float[np.ndarray, "V 3"],
+    options: Options,
+) -> DressedBody:
+    dressed = DressedBody(session.shape(betas), prepared, fabric, vertices, vertices, vertices)
+    if options.push_out:
+        dressed = session.push_out(dressed, CLEARANCE)
+    return session.judge(dressed) if options.fit else dressed
 
 
-def catalogue_betas(seed: int, numbers: np.ndarray, extent: tuple[float, ...]) -> Float[np.ndarray, "B b"]:
-    """Betas of bodies by their numbers, evenly spread over an ellipse with the half axes `extent`."""
-    rows = []
-    for number in numbers:
-        rng = np.random.default_rng((seed, 1, int(number)))
-        direction = rng.normal(size=len(extent))
-        rows.append(direction / np.linalg.norm(direction) * rng.random() ** (1 / len(extent)))
-    return (np.array(rows) * np.array(extent)[None]).astype(np.float32)
+def _write_drapes(
+    path: Path, prepared: PreparedGarment, done: Sequence[tuple[str, DressedBody, Any]]
+) -> dict[str, float]:
+    """Write the drapes of one garment with half of the bytes; the largest error of a vertex of each, metres.
+
+    Half precision has eleven binary digits. Spent on the distance from the bodies' mean drape, which is centimetres,
+    they are hundredths of a millimetre; spent on positions of a metre they would be quarters of one.
+    """
+    count = len(prepared.garment.mean_vertices)
+    drapes = np.array([dressed.vertices for _, dressed, _ in done], np.float32).reshape(-1, count, 3)
+    mean = drapes.mean(axis=0) if len(drapes) else prepared.garment.mean_vertices.astype(np.float32)
+    offsets = (drapes - mean).astype(np.float16)
+    errors = np.linalg.norm(mean + offsets.astype(np.float32) - drapes, axis=2).max(axis=1, initial=0.0)
+    with atomic_path(path) as temporary:
+        np.savez(
+            temporary,
+            names=np.array([name for name, _, _ in done], str),
+            betas=np.array([dressed.body.betas for _, dressed, _ in done], np.float32),
+            mean=mean,
+            offsets=offsets,
+            faces=prepared.faces.astype(np.int32),
+            uv=prepared.uv.astype(np.float32),
+            faces_uv=prepared.faces_uv.astype(np.int32),
+        )
+    return {name: float(error) for (name, _, _), error in zip(done, errors, strict=True)}
+
+
+def table_columns(parameters: Sequence[str]) -> list[str]:
+    """Columns of the table: those of a batch, with the body and the rounding of the written drape, metres."""
+    name, *others, order = columns(parameters)
+    return [name, "body", *others, "rounding", order]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a catalogue has come to."""
+
+    outcomes: Counter[str]
+    rounding: float
+    """Largest rounding of a vertex, metres."""
+
+
+def join_tables(root: Path, catalogue: Catalogue) -> Summary:
+    """Write one table of the fits of all blocks that are done, `fit.csv`; line by line, however many there are."""
+    outcomes: Counter[str] = Counter()
+    rounding, writer = 0.0, None
+    with atomic_path(root / TABLE) as temporary, temporary.open("w", newline="", encoding="utf-8") as target:
+        for garment in range(len(catalogue.garments)):
+            for block in range(catalogue.blocks):
+                path = catalogue.table(root, garment, block)
+                if not path.is_file():
+                    continue
+                with path.open(newline="", encoding="utf-8") as source:
+                    rows = csv.DictReader(source)
+                    if writer is None:
+                        writer = csv.DictWriter(target, list(rows.fieldnames or ()), lineterminator="\n")
+                        writer.writeheader()
+                    for row in rows:
+                        outcomes[row["outcome"]] += 1
+                        rounding = max(rounding, float(row["rounding"] or 0))
+                        writer.writerow(row)
+    return Summary(outcomes, rounding)
 
 
 _drape = jax.jit(drape, static_argnames="fabric")
 
 
 @functools.lru_cache(maxsize=1)
-def _load(model: str) -> TryOnModel:
-    return load_model(model) if model.endswith(".safetensors") else load_pretrained(model)
+def open_session(weights: str, triangle_area: float | None) -> Session:
+    """The session of a process; `weights` as in `Options`."""
+    return Session(load_model(weights) if weights else load_pretrained(), triangle_area=triangle_area)
 
 
-@functools.lru_cache(maxsize=4)
-def _prepared(config: CatalogueConfig, garment: int) -> tuple[TryOnModel, Garment]:
-    model = _load(config.model)
-    return model, prepare(model, catalogue_design(model, config.seed, garment), seed=garment)
+@functools.lru_cache(maxsize=1)
+def _read(root: str, _changed: int) -> Catalogue:
+    """The catalogue of a folder; `_changed` is the time of its file."""
+    found = json.loads((Path(root) / "catalogue.json").read_text(encoding="utf-8"))
+    garments = [
+        Request(
+            row["name"],
+            Cut(**row["cut"] | {"set": tuple(row["cut"]["set"])}),
+            fabric=row["fabric"],
+            mesh=None if row["mesh"] is None else Path(row["mesh"]),
+        )
+        for row in found["garments"]
+    ]
+    betas = np.array(list(found["bodies"].values()), np.float32)
+    return Catalogue(garments, list(found["bodies"]), betas, Options(**found["options"]))

@@ -27,6 +27,15 @@ class Clock(Stopwatch):
 
         return tell
 
+    def counter(self, name: str) -> Callable[[int, int], None]:
+        """Tells how many of how many are done on the terminal, where there is one, in one line."""
+
+        def tell(done: int, total: int) -> None:
+            if sys.stderr.isatty():
+                print(f"{f'{name}: {done} of {total}':<72}", end="\r", file=sys.stderr, flush=True)
+
+        return tell
+
     def __str__(self) -> str:
         """One line: each stage's seconds and their sum."""
         parts = [f"{name} {seconds:.2f}" for name, seconds in self.seconds.items()]

@@ -17,6 +17,7 @@ from tryon_jax.render.image import check_picture_path
 from tryon_jax.render.mannequin import mannequin_colors
 from tryon_jax.render.picture import check_height
 from tryon_jax.wear.dressed import PARTS, DressedBody
+from tryon_jax.wear.morph_targets import MorphTargets, write_morphs
 
 _PARTS = {"both": PARTS, "garment": ("garment",), "body": ("body",)}
 
@@ -65,13 +66,34 @@ class Target:
         if len(set(real)) != len(real):
             raise ValueError(f"each output needs a path of its own, got {', '.join(map(str, self.paths))}")
 
-    def write(self, dressed: DressedBody, name: str, output: OutputOptions, clock: Clock) -> Sequence[Path]:
-        """Write all of them, then put all in their places; returns their paths."""
+    def write(
+        self,
+        dressed: DressedBody,
+        name: str,
+        output: OutputOptions,
+        clock: Clock,
+        morphs: MorphTargets | None = None,
+    ) -> Sequence[Path]:
+        """Write all of them, then put all in their places.
+
+        Args:
+            dressed: What is written.
+            name: Of it.
+            output: How it is drawn, and what the mesh holds.
+            clock: Takes the time.
+            morphs: Targets of body and garment, which the mesh then has; they stand at the dressed body's betas.
+
+        Returns:
+            Their paths.
+        """
         colors = None if output.map is None or dressed.fit is None else map_colors(dressed.fit, output.map)
         with together():
             if self.mesh is not None:
                 with clock.stage("mesh file"):
-                    dressed.write(self.mesh, colors, parts=_PARTS[output.parts], gate=False)
+                    if morphs is not None:
+                        write_morphs(self.mesh, morphs, dressed.body.betas)
+                    else:
+                        dressed.write(self.mesh, colors, parts=_PARTS[output.parts], gate=False)
             if self.picture is not None:
                 with clock.stage("picture"):
                     options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(output.map)]}

@@ -39,6 +39,16 @@ def record(dressed: DressedBody, name: str) -> dict[str, Any]:
         "vertices": len(dressed.vertices),
         **({} if dressed.verdict is None else dressed.verdict.as_dict()),
         **({} if dressed.fit is None else dressed.fit.as_dict()),
+        **({} if dressed.pushed is None else {"pushed": _pushed(dressed.pushed)}),
+    }
+
+
+def _pushed(pushed: PushedOut) -> dict[str, float]:
+    """What the push out of the body found and did: a share, and metres."""
+    return {
+        "inside_before": pushed.inside_before,
+        "deepest_before": pushed.deepest_before,
+        "largest_move": pushed.largest_move,
     }
 
 

@@ -1,7 +1,7 @@
 """What a user asks to be draped: a design, a body shape and a fabric, from options or from a row of a CSV file."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -123,23 +123,29 @@ def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndar
     return np.asarray(fit.betas, np.float32), remarks
 
 
-_COLUMNS = ("name", "fabric", "garment", *(f.name for f in fields(Cut)), *(f.name for f in fields(BodyShape)))
+GARMENT_COLUMNS = ("name", "fabric", "garment", *(f.name for f in fields(Cut)))
+"""Columns of a CSV file of garments."""
+BODY_COLUMNS = ("name", *(f.name for f in fields(BodyShape)))
+"""Columns of a CSV file of bodies."""
 
 
-def read_requests(path: Path) -> list[Request]:
+def read_requests(path: Path, columns: Sequence[str] = (*GARMENT_COLUMNS, *BODY_COLUMNS[1:])) -> list[Request]:
     """Requests from a CSV file with a header; each column is one of the options, empty cells are not given.
 
     `name` (the result's file name) is the row's number when it is not given; lists are separated by spaces.
 
+    Args:
+        path: The file.
+        columns: Those that it may have.
+
     Raises:
         ValueError: unknown columns, cells that are not numbers, rows with too many cells, or two rows of one name; all
-        rows
-            that are wrong are named.
+            rows that are wrong are named.
     """
     with check_file("batch file", path).open(newline="", encoding="utf-8-sig") as stream:
         reader = csv.DictReader(stream)
         for column in reader.fieldnames or ():
-            check_choice(f"column of {path.name}", column, _COLUMNS)
+            check_choice(f"column of {path.name}", column, columns)
         rows = list(reader)
     requests, bad = [], []
     for number, row in enumerate(rows, start=1):
@@ -160,7 +166,7 @@ def read_requests(path: Path) -> list[Request]:
 
 def _request(cells: Mapping[str, str], name: str) -> Request:
     name = cells.get("name", name)
-    if Path(name).name != name:
+    if Path(name).name != name or name == "..":
         raise ValueError(f"name = {name!r} must be a plain file name without a directory")
     cut = Cut(
         design=cells.get("design"),

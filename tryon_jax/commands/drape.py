@@ -2,6 +2,7 @@
 
 tryon drape --design dress --betas 1.5 -0.5 --out dress.glb --picture dress.png
 tryon drape --design tshirt --stature 1.72 --chest 0.96 --sleeve-length 0.2 --picture fit.png --map ease
+tryon drape --design dress --out dress.glb --morph-targets
 tryon drape --batch orders.csv --out results --format obj
 """
 
@@ -12,15 +13,17 @@ from typing import Literal
 from tryon_jax.body import load_smpl
 from tryon_jax.checks import check_file, check_range
 from tryon_jax.commands._answer import Treatment, answer
-from tryon_jax.commands._batch import TABLE, Batch
+from tryon_jax.commands._batch import Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import report_lines
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._say import say
+from tryon_jax.commands._table import TABLE
 from tryon_jax.files.atomic import check_target
 from tryon_jax.files.export import WRITERS
 from tryon_jax.tryon import TryOnModel, load_model
+from tryon_jax.wear.morph_targets import fit_morph_targets
 from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.posing import read_pose
 from tryon_jax.wear.session import Session
@@ -61,6 +64,8 @@ class Config:
     """Colour the cloth by distance from the body (ease), its stretch (tension) or its depth inside (penetration)."""
     parts: Literal["both", "garment", "body"] = "both"
     """What the mesh file holds."""
+    morph_targets: bool = False
+    """Give the GLB file sliders that change the body's shape and the garment with it, in any viewer or game engine."""
     report: Path | None = None
     """JSON file for the report of the fit."""
     batch: Path | None = None
@@ -111,8 +116,16 @@ def main(config: Config) -> None:
         return
     (request,), (target,) = requests, targets
     dressed, remarks = answer(session, request, treatment, clock, pose)
-    written = target.write(dressed, request.name, output, clock)
-    say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written), clock)
+    morphs = None
+    if config.morph_targets:
+        with clock.stage("morph targets"):
+            progress = clock.counter("morph targets")
+            morphs = fit_morph_targets(
+                session, dressed.garment, dressed.fabric, outside=config.push_out, progress=progress
+            )
+    written = target.write(dressed, request.name, output, clock, morphs)
+    lines = [] if morphs is None else morphs.lines()
+    say(*report_lines(dressed, remarks), *lines, *(f"wrote    {path}" for path in written), clock)
 
 
 def _drape_batch(session: Session, batch: Batch, clock: Clock) -> None:
@@ -149,11 +162,29 @@ def _plan(config: Config, output: OutputOptions) -> tuple[list[Request], list[Ta
     _area(config)
     if config.smpl is not None and config.pose is not None:
         raise ValueError("--pose is for the networks' body; leave it out with --smpl")
+    if config.morph_targets:
+        _check_morph_targets(config)
     planned = _plan_one(config) if config.batch is None else _plan_batch(config, config.batch)
     for name in ("garment", "pose", "smpl", "weights", "batch"):
         if getattr(config, name) is not None:
             check_file(f"--{name}", getattr(config, name))
     return planned
+
+
+def _check_morph_targets(config: Config) -> None:
+    """Raise `ValueError` for what cannot have sliders."""
+    if config.batch is not None or config.out is None or config.out.suffix.lower() != ".glb":
+        raise ValueError("--morph-targets needs --out with a .glb file, of one garment")
+    if config.parts != "both":
+        raise ValueError(f"--morph-targets writes body and garment together; leave out --parts {config.parts}")
+    for name, given in (
+        ("pose", config.pose is not None),
+        ("smpl", config.smpl is not None),
+        ("refine", config.refine is not None),
+        ("simulate", config.simulate),
+    ):
+        if given:
+            raise ValueError(f"--morph-targets are of the learned drape on the networks' own body; leave out --{name}")
 
 
 def _plan_one(config: Config) -> tuple[list[Request], list[Target]]:

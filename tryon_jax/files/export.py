@@ -109,17 +109,19 @@ def _indices(name: str, indices: np.ndarray, count: int) -> np.ndarray:
     return indices.astype(np.int32)
 
 
-def _normals(part: Part) -> Float[np.ndarray, "V 3"]:
+def unit_normals(vertices: np.ndarray, faces: np.ndarray) -> Float[np.ndarray, "V 3"]:
     """Unit normals; +y at vertices without a face, since the formats allow no zero."""
-    normals = vertex_normals(part.vertices, part.faces).astype(np.float32)
+    normals = vertex_normals(vertices, faces).astype(np.float32)
     normals[~normals.any(axis=1)] = (0.0, 1.0, 0.0)
     return normals
 
 
 @dataclass(frozen=True)
-class _Split:
+class Split:
     """A part with one texture coordinate per vertex."""
 
+    vertex: np.ndarray
+    """Which vertex of the part each is."""
     vertices: np.ndarray
     normals: np.ndarray
     faces: np.ndarray
@@ -127,15 +129,16 @@ class _Split:
     colors: np.ndarray | None
 
 
-def _split_at_seams(part: Part) -> _Split:
+def split_at_seams(part: Part) -> Split:
     """Double the vertices that have several texture coordinates; normals are taken before, across the seams."""
-    normals = _normals(part)
+    normals = unit_normals(part.vertices, part.faces)
     if part.uv is None or part.faces_uv is None:
-        return _Split(part.vertices, normals, part.faces, None, part.colors)
+        return Split(np.arange(len(part.vertices)), part.vertices, normals, part.faces, None, part.colors)
     keys = part.faces.astype(np.int64) * len(part.uv) + part.faces_uv
     unique, inverse = np.unique(keys, return_inverse=True)
     vertex, coordinate = np.divmod(unique, len(part.uv))
-    return _Split(
+    return Split(
+        vertex,
         part.vertices[vertex],
         normals[vertex],
         inverse.reshape(-1, 3).astype(np.int32),
@@ -148,12 +151,12 @@ def write_glb(path: str | Path, parts: Sequence[Part]) -> None:
     """Write binary glTF 2.0: one named mesh with its own material for each part."""
     scene = trimesh.Scene()
     for part in parts:
-        split = _split_at_seams(part)
+        split = split_at_seams(part)
         rgba = [*((1.0, 1.0, 1.0) if split.colors is not None else part.material.color), 1.0]
         material = PBRMaterial(
             name=part.name,
             # glTF's factors are linear light; the material's colour is sRGB.
-            baseColorFactor=[_linear(c) for c in rgba[:3]] + [1.0],
+            baseColorFactor=[linear_light(c) for c in rgba[:3]] + [1.0],
             metallicFactor=0.0,
             roughnessFactor=part.material.roughness,
             doubleSided=part.material.double_sided,
@@ -161,7 +164,7 @@ def write_glb(path: str | Path, parts: Sequence[Part]) -> None:
         uv = split.uv if split.uv is not None else np.zeros((len(split.vertices), 2), np.float32)
         visual = TextureVisuals(uv=uv, material=material)
         if split.colors is not None:
-            linear = np.round(_linear(split.colors) * 255).astype(np.uint8)
+            linear = np.round(linear_light(split.colors) * 255).astype(np.uint8)
             alpha = np.full((len(linear), 1), 255, np.uint8)
             visual.vertex_attributes["color"] = np.concatenate([linear, alpha], axis=1)
         mesh = trimesh.Trimesh(
@@ -172,7 +175,7 @@ def write_glb(path: str | Path, parts: Sequence[Part]) -> None:
     write_bytes(path, bytes(data))
 
 
-def _linear(srgb: np.ndarray | float) -> np.ndarray:
+def linear_light(srgb: np.ndarray | float) -> np.ndarray:
     """Linear light of an sRGB value (IEC 61966-2-1)."""
     value = np.asarray(srgb)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
@@ -188,7 +191,7 @@ def write_obj(path: str | Path, parts: Sequence[Part]) -> None:
         lines += [f"o {part.name}", f"usemtl {part.name}"]
         points = part.vertices if part.colors is None else np.concatenate([part.vertices, part.colors], axis=1)
         lines += [f"v {' '.join(f'{x:.6f}' for x in row)}" for row in points.tolist()]
-        normals = _normals(part)
+        normals = unit_normals(part.vertices, part.faces)
         lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in normals.tolist()]
         corner = (part.faces + first_vertex).tolist()
         if part.uv is None or part.faces_uv is None:
@@ -211,7 +214,7 @@ def write_obj(path: str | Path, parts: Sequence[Part]) -> None:
 
 def write_ply(path: str | Path, parts: Sequence[Part]) -> None:
     """Write one binary PLY mesh of all parts: normals, texture coordinates, colours, and the part of each face."""
-    splits = [_split_at_seams(part) for part in parts]
+    splits = [split_at_seams(part) for part in parts]
     counts = [len(s.vertices) for s in splits]
     vertex_type = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "s", "t")]
     vertex_type += [(name, "u1") for name in ("red", "green", "blue")]

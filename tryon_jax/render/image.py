@@ -32,8 +32,9 @@ def to_image(picture: Float[np.ndarray, "H W 3"]) -> "Image.Image":
     """8-bit image of an sRGB picture in 0 to 1, with half a level of fixed noise against banding in soft gradients."""
     from PIL import Image
 
-    noise = np.random.default_rng(0).random(picture.shape[:2])[..., None]
-    return Image.fromarray(np.clip(picture * 255 + noise, 0, 255).astype(np.uint8))
+    levels = np.multiply(picture, 255, dtype=np.float32)
+    levels += np.random.default_rng(0).random(picture.shape[:2], np.float32)[..., None]
+    return Image.fromarray(np.clip(levels, 0, 255, out=levels).astype(np.uint8))
 
 
 def save_image(path: str | Path, image: "Image.Image") -> None:

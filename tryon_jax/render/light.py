@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from tryon_jax.render.raster import rasterize
+from tryon_jax.render.raster import nearest_depth
 
 # Receivers are lifted by this much along their normal, metres, so that a surface does not shade itself.
 _LIFT = 0.006
@@ -18,16 +18,46 @@ _LIFT = 0.006
 
 def frame_along(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
     """Orthonormal rows: two across `direction`, and `direction` itself."""
-    helper = np.array([0.0, 1.0, 0.0]) if abs(direction[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
-    across = np.cross(helper, direction)
+    x, y, z = direction
+    across = np.array([z, 0.0, -x] if abs(y) < 0.9 else [0.0, -z, y])
     across = across / np.linalg.norm(across)
-    return np.stack([across, np.cross(direction, across), direction])
+    a, b, c = across
+    return np.array([across, [y * c - z * b, z * a - x * c, x * b - y * a], direction])
 
 
 def spiral(count: int) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Fractions (k + ½)/count and golden angles: even samples of a disc or, with them as heights, of a sphere."""
     k = np.arange(count) + 0.5
     return k / count, np.pi * (1 + 5**0.5) * k
+
+
+@dataclass(frozen=True)
+class Casters:
+    """Triangles that stand in the light's way."""
+
+    vertices: Float[np.ndarray, "V 3"]
+    """Metres."""
+    faces: Int[np.ndarray, "F 3"]
+    normals: Float[np.ndarray, "F 3"]
+    """Of any length, outwards; zero for faces that are seen from both sides."""
+
+    @classmethod
+    def of(
+        cls, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], closed: Bool[np.ndarray, " F"]
+    ) -> "Casters":
+        """Casters of a scene.
+
+        Args:
+            vertices: Of the scene, metres.
+            faces: Triangles.
+            closed: Those of closed surfaces, counter-clockwise from outside: what light meets first faces it.
+        """
+        a, b, c = (vertices[faces[:, k]] for k in range(3))
+        return cls(vertices, faces, np.where(closed[:, None], np.cross(b - a, c - a), 0.0))
+
+    def towards(self, direction: Float[np.ndarray, "3"]) -> Int[np.ndarray, "G 3"]:
+        """The faces that light from `direction` may meet first."""
+        return self.faces[self.normals @ direction >= 0]
 
 
 @dataclass(frozen=True)
@@ -43,51 +73,51 @@ class DepthMap:
     @classmethod
     def of(
         cls,
-        vertices: Float[np.ndarray, "V 3"],
-        faces: Int[np.ndarray, "F 3"],
+        casters: Casters,
         direction: Float[np.ndarray, "3"],
         resolution: int,
     ) -> "DepthMap":
         """Rasterise the scene as seen from far away in `direction` (a unit vector towards the light).
 
         Args:
-            vertices: Of the scene, metres.
-            faces: Triangles.
+            casters: What stands in the way.
             direction: Unit vector towards the light.
             resolution: Pixels along each side.
         """
         axes = frame_along(direction) * np.array([[1.0], [1.0], [-1.0]])
-        local = axes @ vertices.T
+        local = axes @ casters.vertices.T
         low, high = local.min(axis=1), local.max(axis=1)
         scale = (resolution - 4) / (high - low)[:2].max()
         to_pixels = axes * scale
         shift = np.append((resolution - (low + high)[:2] * scale) / 2, 0.0)[:, None]
-        depth = rasterize((to_pixels @ vertices.T + shift).T, faces, resolution, resolution).depth
+        depth = nearest_depth((local * scale + shift).T, casters.towards(direction), resolution, resolution)
         return cls(to_pixels.astype(np.float32), shift.astype(np.float32), depth)
 
     def lit(self, points: Float[np.ndarray, "3 N"]) -> Bool[np.ndarray, " N"]:
         """True where nothing is between a point (a column, float32) and the light."""
         column, row, depth = self.to_pixels @ points + self.shift
-        return self._beyond(column.astype(np.int32), row.astype(np.int32), depth)
+        size = len(self.depth)
+        # Points beside the map land on its border, which is empty.
+        x, y = (np.clip(part.astype(np.int32), 0, size - 1) for part in (column, row))
+        # A surface at 45 degrees to the light changes its depth by one pixel per pixel.
+        return depth <= self.depth.ravel()[y * size + x] + np.float32(1.0)
 
     def softly_lit(self, points: Float[np.ndarray, "3 N"]) -> Float[np.ndarray, " N"]:
         """The same between 0 and 1: bilinear over the four nearest pixels, so that no shadow has the map's steps."""
         column, row, depth = self.to_pixels @ points + self.shift
-        left, above = np.floor(column - np.float32(0.5)), np.floor(row - np.float32(0.5))
-        right_share, lower_share = column - np.float32(0.5) - left, row - np.float32(0.5) - above
+        column, row = column - np.float32(0.5), row - np.float32(0.5)
+        left, above = np.floor(column), np.floor(row)
         x, y = left.astype(np.int32), above.astype(np.int32)
-        upper = self._beyond(x, y, depth) * (1 - right_share) + self._beyond(x + 1, y, depth) * right_share
-        lower = self._beyond(x, y + 1, depth) * (1 - right_share) + self._beyond(x + 1, y + 1, depth) * right_share
-        return upper * (1 - lower_share) + lower * lower_share
-
-    def _beyond(
-        self, column: Int[np.ndarray, " N"], row: Int[np.ndarray, " N"], depth: Float[np.ndarray, " N"]
-    ) -> Bool[np.ndarray, " N"]:
+        right, lower = column - left, row - above
         size = len(self.depth)
         # Points beside the map land on its border, which is empty.
-        pixel = np.clip(row, 0, size - 1) * size + np.clip(column, 0, size - 1)
+        pixel = np.clip(y, 0, size - 2) * size + np.clip(x, 0, size - 2)
         # A surface at 45 degrees to the light changes its depth by one pixel per pixel.
-        return depth <= self.depth.ravel()[pixel] + np.float32(1.0)
+        depth = depth - np.float32(1.0)
+        flat = self.depth.ravel()
+        a, b, c, d = ((depth <= flat[pixel + step]).astype(np.float32) for step in (0, 1, size, size + 1))
+        upper = a + (b - a) * right
+        return upper + (c + (d - c) * right - upper) * lower
 
 
 def _lifted(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3 N"]:
@@ -95,8 +125,7 @@ def _lifted(points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"])
 
 
 def sky_light(
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
+    casters: Casters,
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     directions: int = 40,
@@ -108,8 +137,7 @@ def sky_light(
     triangles shade it.
 
     Args:
-        vertices: Of the scene, metres.
-        faces: Triangles.
+        casters: What stands in the way.
         points: Where the light is asked for, metres.
         normals: Unit normal at each point.
         directions: Number of directions that are sampled.
@@ -125,7 +153,7 @@ def sky_light(
     total = np.zeros(len(points))
     for direction, cosine in zip(towards, cosines, strict=True):
         facing = np.flatnonzero(cosine)
-        lit = DepthMap.of(vertices, faces, direction, resolution).lit(lifted[:, facing])
+        lit = DepthMap.of(casters, direction, resolution).lit(lifted[:, facing])
         total[facing] += cosine[facing] * lit
     return total * 4 / directions
 
@@ -142,8 +170,7 @@ class Lamp:
     @classmethod
     def of(
         cls,
-        vertices: Float[np.ndarray, "V 3"],
-        faces: Int[np.ndarray, "F 3"],
+        casters: Casters,
         direction: Float[np.ndarray, "3"],
         radius: float,
         samples: int,
@@ -152,8 +179,7 @@ class Lamp:
         """Light the scene from `direction`; `radius` is the lamp's half-angle in radians.
 
         Args:
-            vertices: Of the scene, metres.
-            faces: Triangles.
+            casters: What stands in the way.
             direction: Unit vector towards the lamp.
             radius: Half the angle that the lamp covers, radians.
             samples: Points of the lamp that are sampled.
@@ -163,9 +189,12 @@ class Lamp:
         disc = radius * np.sqrt(fraction)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         rays = direction + disc @ frame_along(direction)[:2]
         rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-        return cls(direction, tuple(DepthMap.of(vertices, faces, ray, resolution) for ray in rays))
+        return cls(direction, tuple(DepthMap.of(casters, ray, resolution) for ray in rays))
 
     def lit(self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " N"]:
         """The part of the lamp that a point sees, 0 to 1."""
         lifted = _lifted(points, normals)
-        return np.mean([depth_map.softly_lit(lifted) for depth_map in self.maps], axis=0)
+        total = np.zeros(lifted.shape[1], np.float32)
+        for depth_map in self.maps:
+            total += depth_map.softly_lit(lifted)
+        return total / np.float32(len(self.maps))

@@ -13,7 +13,6 @@ from tryon_jax.render.colors import ColorScale
 from tryon_jax.render.image import check_picture_path, draw_scale, save_image, scale_height, to_image
 from tryon_jax.render.scene import Scene, build_scene, srgb_value
 from tryon_jax.render.shade import Frame, render_view
-from tryon_jax.render.smooth_border import smooth_border
 from tryon_jax.types import ArrayLike
 
 Mesh = tuple[ArrayLike, ArrayLike]
@@ -103,12 +102,12 @@ def draw(
         raise ValueError("views must name at least one view")
     check_height(height)
     angles = [view_angle(view) for view in views]
-    clean = _checked("body", body)
-    cloth, paint = None, np.asarray(garment_colors, np.float64)
-    if garment is not None:
-        vertices, faces, of_vertices = smooth_border(*_checked("garment", garment), paint if paint.ndim == 2 else None)
-        cloth, paint = (vertices, faces), paint if of_vertices is None else of_vertices
-    scene = build_scene(clean, cloth, np.asarray(body_colors, np.float64), paint)
+    scene = build_scene(
+        _checked("body", body),
+        None if garment is None else _checked("garment", garment),
+        np.asarray(body_colors, np.float64),
+        np.asarray(garment_colors, np.float64),
+    )
     if focus is None:
         focus = focus_points(body, garment, crop)
     return srgb_value(_film(_views(scene, angles, focus, height)))
@@ -160,13 +159,14 @@ def _views(scene: Scene, angles: list[float], focus: np.ndarray, height: int) ->
 
 def background(height: int, width: int) -> Float[np.ndarray, "H W 3"]:
     """Linear light of a pale studio wall that runs into the floor without an edge."""
-    y = np.linspace(0, 1, height)[:, None, None]
-    top, bottom = np.array([0.66, 0.68, 0.70]), np.array([0.87, 0.87, 0.865])
+    y = np.linspace(0, 1, height, dtype=np.float32)[:, None, None]
+    top, bottom = np.array([0.66, 0.68, 0.70], np.float32), np.array([0.87, 0.87, 0.865], np.float32)
     return np.broadcast_to(top + (bottom - top) * y**1.3, (height, width, 3))
 
 
 def _film(linear: np.ndarray) -> np.ndarray:
     """Roll off highlights softly instead of clipping them."""
-    knee = 0.75
+    knee = np.float32(0.75)
     over = np.maximum(linear - knee, 0)
-    return np.minimum(linear, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
+    rolled = (1 - knee) * (1 - np.exp(over * (-1 / (1 - knee))))
+    return np.minimum(linear, knee) + rolled

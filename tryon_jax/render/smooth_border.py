@@ -12,8 +12,8 @@ from tryon_jax.mesh.topology import border_edges
 def smooth_border(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
-    colors: Float[np.ndarray, "V 3"] | None = None,
-) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"], Float[np.ndarray, "W 3"] | None]:
+    values: Float[np.ndarray, "V k"],
+) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, "G 3"], Float[np.ndarray, "W k"]]:
     """Each triangle cut in four, and open borders moved to the cubic B-spline of their vertices.
 
     Inside nothing moves; a border vertex moves by an eighth of the second difference along the border (Loop's rule).
@@ -21,10 +21,10 @@ def smooth_border(
     Args:
         vertices: Metres.
         faces: Triangles.
-        colors: One colour for each vertex, where there are any.
+        values: What else is known at each vertex, such as its colour.
 
     Returns:
-        Vertices, faces and colours of the finer mesh.
+        Vertices, faces and values of the finer mesh.
     """
     edges = border_edges(faces, len(vertices))
     moved = np.array(vertices, np.float64)
@@ -34,10 +34,9 @@ def smooth_border(
     np.add.at(total, edges[:, 0], moved[edges[:, 1]])
     np.add.at(total, edges[:, 1], moved[edges[:, 0]])
     on_line = count == 2
-    paint = np.zeros_like(moved) if colors is None else np.asarray(colors, np.float64)
-    cut_all: Any = trimesh.remesh.subdivide(moved, faces, vertex_attributes={"colors": paint})
-    fine, cut, values = cut_all
+    cut_all: Any = trimesh.remesh.subdivide(moved, faces, vertex_attributes={"values": np.asarray(values, np.float64)})
+    fine, cut, mixed = cut_all
     # The first vertices of the finer mesh are the old ones; the middles of edges stay where they are.
     fine = np.array(fine)
     fine[: len(vertices)][on_line] = 0.75 * moved[on_line] + 0.125 * total[on_line]
-    return fine, np.asarray(cut), None if colors is None else values["colors"]
+    return fine, np.asarray(cut), mixed["values"]

@@ -5,10 +5,6 @@ twice without harm.
 """
 
 import functools
-import multiprocessing
-import multiprocessing.connection
-import os
-import threading
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,19 +23,6 @@ def run_batch(root: str, tasks: Sequence[Task]) -> str:
         return ""
     lines = _simulator(root).run(missing)
     return lines[0] if len(lines) == 1 else f"{len(lines)} side by side, the last: {lines[-1]}"
-
-
-def end_with_parent() -> None:
-    """Let this worker end when the process that started it does, even if that is killed."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        multiprocessing.connection.wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 @functools.lru_cache(maxsize=1)

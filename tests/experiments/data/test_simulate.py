@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.shared.pool import run_all
+from tryon_jax.files.pool import run_all
 from tryon_jax.training.dataset import remove_leftovers
 
 ROOT = Path(__file__).parents[3]

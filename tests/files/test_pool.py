@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pool_tasks import fail, write_number
 
-from experiments.shared.pool import checksums, open_pool, run_all
+from tryon_jax.files.pool import checksums, open_pool, run_all
 
 COUNT = 12
 

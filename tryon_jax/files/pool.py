@@ -11,7 +11,9 @@ import errno
 import hashlib
 import importlib.util
 import multiprocessing
+import multiprocessing.connection
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -19,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 from tqdm import tqdm
-
-from tryon_jax.training.generate import end_with_parent
 
 ONE_CORE = {
     "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
@@ -31,6 +31,11 @@ which inverts the solver's coarse matrices, starts its threads with NumPy, befor
 each call they wait actively for a while, which took half of the worker's time."""
 
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
+
+
+def available_cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @contextmanager
@@ -53,6 +58,19 @@ def open_pool(processes: int, scheduler: str = "") -> Iterator[Executor]:
         except KeyboardInterrupt:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def end_with_parent() -> None:
+    """Let this worker end when the process that started it does, even if that is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _start_worker(turn: Any) -> None:
