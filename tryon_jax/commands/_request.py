@@ -125,6 +125,8 @@ def resolve_betas(body: Body, shape: BodyShape, num_betas: int) -> tuple[np.ndar
 
 GARMENT_COLUMNS = ("name", "fabric", "garment", *(f.name for f in fields(Cut)))
 """Columns of a CSV file of garments."""
+SIZE_COLUMNS = ("name", *(f.name for f in fields(Cut)))
+"""Columns of a table of sizes."""
 BODY_COLUMNS = ("name", *(f.name for f in fields(BodyShape)))
 """Columns of a CSV file of bodies."""
 

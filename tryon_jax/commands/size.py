@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tryon_jax.checks import check_choice, check_file
 from tryon_jax.commands._clock import Clock
-from tryon_jax.commands._request import BodyShape, Request, read_requests, resolve_betas, resolve_design
+from tryon_jax.commands._request import SIZE_COLUMNS, BodyShape, Request, read_requests, resolve_betas, resolve_design
 from tryon_jax.commands._say import say
 from tryon_jax.commands.tailor import Asked
 from tryon_jax.files.atomic import check_target
@@ -42,8 +42,7 @@ class Config:
 def main(config: Config) -> None:
     """Drape every size, say how each sits, and which one it should be and why."""
     clock, target = Clock(), config.asked.target()
-    requests = read_requests(config.sizes)
-    check_rows(requests, config.sizes.name)
+    requests = read_requests(config.sizes, SIZE_COLUMNS)
     if config.picture is not None:
         check_picture_path(config.picture)
         check_target(config.picture)
@@ -80,20 +79,6 @@ def main(config: Config) -> None:
             contact_sheet(config.picture, items, columns=len(items))
         lines.append(f"wrote    {config.picture}")
     say(*lines, clock)
-
-
-def check_rows(requests: list[Request], name: str) -> None:
-    """Raise for rows that say more than a size: the body and the fabric are the same for all.
-
-    Args:
-        requests: Rows of the table.
-        name: Of its file.
-    """
-    for request in requests:
-        if request.shape != BodyShape() or request.fabric is not None or request.mesh is not None:
-            raise ValueError(
-                f"size {request.name!r} of {name} may only name its design: body and fabric are options of the command"
-            )
 
 
 def _designs(session: Session, requests: list[Request], name: str) -> dict:
