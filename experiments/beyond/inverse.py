@@ -21,6 +21,7 @@ from experiments.beyond.unknowns import (
     template_projection,
 )
 from experiments.shared.evaluate import body_vertices, case_names, open_model, spread
+from experiments.shared.figures import dressed_cell
 from experiments.shared.neighbours import load_drapes
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.body.landmarks import load_landmarks
@@ -261,10 +262,12 @@ def _find_design(
     if config.simulate:
         drapes["simulated"] = _simulate(problems, mesh, betas, config.fabric)
     got = {kind: problems.measured(vertices, mesh, body) for kind, vertices in drapes.items()}
-    skin = body["vertices"], np.asarray(problems.model.body.faces)
     items = [
-        SheetItem(
-            skin, (vertices, mesh.faces), f"{kind}: ease {100 * got[kind][0]:.1f} cm, hem {100 * got[kind][1]:.0f} cm"
+        dressed_cell(
+            problems.model.body,
+            body["vertices"],
+            (vertices, mesh.faces),
+            f"{kind}: ease {100 * got[kind][0]:.1f} cm, hem {100 * got[kind][1]:.0f} cm",
         )
         for kind, vertices in drapes.items()
     ]
