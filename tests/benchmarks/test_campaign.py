@@ -2,13 +2,13 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from benchmarks.campaign import Config, Tally, inside_body, random_case, read_tally, run_case, summary
 from benchmarks.record import write_record
+from benchmarks.report import campaign_section, load_campaigns
 from measuring.records import environment
 from tests.flat_model import flat_model
 from tests.physics.round_body import RADIUS, make_ball
@@ -52,3 +52,17 @@ def test_a_case_that_raises_is_a_fault_and_the_summary_names_it(monkeypatch: pyt
     run_case(session, random_case(session, 0, 0, 4), tally)
     assert tally.faults[0]["fault"] == "ZeroDivisionError: division by zero"
     assert "division by zero" in summary(tally)
+
+
+def test_the_page_shows_what_came_of_the_cases(tmp_path: Path) -> None:
+    assert campaign_section(load_campaigns(tmp_path)) == []
+    fault = {"fault": "2 vertices are inside the body", "design": [0.1], "betas": [0.5]}
+    tally = Tally(40, Counter(fine=37, refused=2), Counter(), 1.3, 0.012, 20.0, [fault])
+    write_record("campaign", Config(), [tally.row()], folder=tmp_path)
+    text = "\n".join(campaign_section(load_campaigns(tmp_path)))
+    for words in (
+        "| 40 |",
+        "| 37 | 0 | 2 | 1 | 1.3 | 12 | 0.5 |",
+        "- 2 vertices are inside the body: [0.1], betas [0.5]",
+    ):
+        assert words in text
