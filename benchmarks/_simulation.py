@@ -108,11 +108,11 @@ def solver_step(cell: Cell) -> Work:
     """One implicit step on the mean body, for several states of one garment."""
     cloth, fabric, drape = _cloth(cell.vertices), load_fabric(FABRIC), _dressed(cell.vertices)
     surface, settings = drape.surface, SolverSettings()
-    still, free = jnp.zeros_like(surface.vertices), jnp.zeros_like(cloth.vertex_areas)
+    still = jnp.zeros_like(surface.vertices)
 
     def run(x: jax.Array, state: ClothState, cloth: Cloth, surface: Any) -> tuple[Any, ...]:
         def one(x: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-            new, report = step(replace(state, x=x), cloth, fabric, surface, settings, still, free)
+            new, report = step(replace(state, x=x), cloth, fabric, surface, settings, still)
             return new.x, report.residual, report.iterations
 
         return jax.vmap(one)(x)
@@ -176,12 +176,12 @@ class FullEquilibrium:
 
     def check(self, drape: Drape) -> float:
         """The force that is left, over its tolerance, computed again in float64."""
-        still, free = jnp.zeros_like(drape.surface.vertices), jnp.zeros_like(self.cloth.vertex_areas)
+        still = jnp.zeros_like(drape.surface.vertices)
         with jax.enable_x64(True):
-            wide = jax.tree.map(_widened, (drape.state, self.cloth, drape.surface, still, free))
+            wide = jax.tree.map(_widened, (drape.state, self.cloth, drape.surface, still))
 
-            def residual(state: Any, cloth: Any, surface: Any, still: Any, free: Any) -> jax.Array:
-                return step(state, cloth, self.fabric, surface, self.settings, still, free)[1].residual
+            def residual(state: Any, cloth: Any, surface: Any, still: Any) -> jax.Array:
+                return step(state, cloth, self.fabric, surface, self.settings, still)[1].residual
 
             return float(jax.jit(residual)(*wide)) / self.equilibrium.tolerance
 

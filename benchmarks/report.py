@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks._before_after import compared, read_record
 from benchmarks._platforms import aims_table, key, platform_table, share_of_ceiling
+from benchmarks.campaign import OUTCOMES
 from benchmarks.compare import ALL
 from benchmarks.record import RESULTS
 from measuring.records import table
@@ -163,8 +164,42 @@ def skipped_list(records: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
-    """The whole page."""
+def load_campaigns(folder: Path) -> list[dict[str, Any]]:
+    """All records of `campaign`, those of the fewest cases first."""
+    found = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("campaign-*.json"))]
+    return sorted(found, key=lambda record: record["rows"][0]["cases"])
+
+
+def campaign_section(campaigns: Sequence[dict[str, Any]]) -> list[str]:
+    """What came of random cases, and every fault; nothing where none were run."""
+    if not campaigns:
+        return []
+    lines, faults = [], []
+    for record in campaigns:
+        row = record["rows"][0]
+        line = {"device": device(record), "date": record["environment"]["date"], "seed": record["config"]["seed"]}
+        line |= {name: row["outcomes"].get(name, 0) for name in OUTCOMES}
+        line |= {"faults": len(row["faults"]), "longest edge ÷ rest": row["longest_edge"]}
+        line |= {"largest push, mm": 1e3 * row["largest_push"], "s a case": row["seconds"] / row["cases"]}
+        lines.append({"cases": row["cases"]} | line)
+        faults += [f"- {fault['fault']}: {fault['design']}, betas {fault['betas']}" for fault in row["faults"]]
+    about = (
+        "Random designs, meshes, bodies and fabrics through the whole try-on (`python -m benchmarks campaign`): what "
+        "the gate says of each, and faults, which are what raises, is torn without being refused, or is inside the "
+        "body after the push out by winding numbers. Edges and pushes are those of drapes that were not refused; times "
+        "are with whatever else the machine did."
+    )
+    return ["## Random cases", about, table(lines), *(["\n".join(faults)] if faults else [])]
+
+
+def page(records: Sequence[dict[str, Any]], pictures: Sequence[str], campaigns: Sequence[dict[str, Any]] = ()) -> str:
+    """The whole page.
+
+    Args:
+        records: Of `compare`.
+        pictures: Names of the plots.
+        campaigns: Records of `campaign`.
+    """
     parts = [
         BEGIN,
         "Made by `python -m benchmarks report` from the records that `python -m benchmarks compare` wrote on each "
@@ -193,6 +228,7 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str]) -> str:
         made = subject_table(subject, records)
         if made:
             parts += [f"## {subject[0].upper()}{subject[1:]}", ABOUT[subject], made]
+    parts += campaign_section(campaigns)
     lines = skipped_list(records)
     if lines:
         parts += ["## Not measured", "\n".join(lines)]
@@ -267,5 +303,5 @@ def main(config: Config) -> None:
         return
     records = load_records(config.results)
     pictures = draw(records, config.out.parent / "images") if config.plots else []
-    write_text(config.out, page(records, pictures))
+    write_text(config.out, page(records, pictures, load_campaigns(config.results)))
     print(f"wrote {config.out} from {len(records)} records")

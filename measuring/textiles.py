@@ -15,8 +15,6 @@ from tryon_jax.physics.fabrics import GRID, Fabric, load_fabric
 from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 
 FAR = 5.0
-PINNED = 1e5
-"""N/m that hold a pinned vertex."""
 run_solver = jax.jit(solve)
 
 
@@ -153,9 +151,9 @@ def settle(
     """Run a sample to equilibrium, searching its closest points anew every 20 steps; or all steps if tolerance is 0."""
     cloth = build_cloth(faces, uv, faces, len(uv)) if cloth is None else cloth
     current = start_at(points, cloth) if state is None else state
-    springs = np.zeros(len(cloth.vertex_areas), np.float32)
+    held = np.zeros(len(cloth.vertex_areas), bool)
     if pinned is not None:
-        springs[pinned] = PINNED
+        held[pinned] = True
     still = jnp.zeros_like(surface.vertices)
     steps, goal = 0, jnp.asarray(tolerance, jnp.float32)
     while steps < most:
@@ -163,7 +161,7 @@ def settle(
         face = closest_faces(surface, samples, nearest_vertices(surface, samples))
         piece = jnp.asarray(min(20, most - steps), jnp.int32)
         current, report = run_solver(
-            replace(current, face=face), cloth, fabric, surface, settings, still, jnp.asarray(springs), goal, piece
+            replace(current, face=face), cloth, fabric, surface, settings, still, jnp.asarray(held), goal, piece
         )
         steps += int(report.steps)
         if float(report.residual) <= tolerance:

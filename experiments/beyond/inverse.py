@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from experiments.beyond.template import template_projection
 from experiments.shared.evaluate import case_names, open_model, spread
+from experiments.shared.figures import dressed_cell
 from experiments.shared.neighbours import load_drapes
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.files.atomic import atomic_path
@@ -203,8 +204,9 @@ def _find_design(
         drapes["simulated"] = session.simulate(found.dressed.garment, betas, fabric=config.fabric)
     got = {kind: list(sitting(dressed, session, target).values()) for kind, dressed in drapes.items()}
     items = [
-        SheetItem(
-            (body.vertices, body.faces),
+        dressed_cell(
+            session.body,
+            body.vertices,
             (dressed.vertices, dressed.faces),
             f"{kind}: ease {_cm(got[kind][0])}, hem {_cm(got[kind][1])}",
         )

@@ -10,9 +10,9 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.shared.evaluate import open_model
+from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
-from tryon_jax.render import SheetItem, contact_sheet
-from tryon_jax.render.mannequin import mannequin_colors
+from tryon_jax.render import contact_sheet
 from tryon_jax.training.collisions import random_betas
 from tryon_jax.training.recipes import model_path
 from tryon_jax.wear.session import Session
@@ -50,7 +50,7 @@ def main(config: Config) -> None:
     rng = np.random.default_rng(config.seed)
     bodies = random_betas(rng, 8 * config.cases, session.model.config.beta_ranges)
     bodies = [betas for betas in bodies if _most_ease(session, betas) > _LEAST_EASE][: config.cases]
-    cases, items, skin = [], [], mannequin_colors(session.body)
+    cases, items = [], []
     for betas in tqdm(bodies, desc="fits", mininterval=2):
         target = _possible(session, betas, rng)
         began = time.perf_counter()
@@ -60,9 +60,8 @@ def main(config: Config) -> None:
         got = sitting(dressed, session, target)
         cases.append(_entry(betas, target, found, got, seconds))
         if len(items) < _SHOWN:
-            body = (dressed.body.vertices, dressed.body.faces)
             title = ", ".join(f"{k} {100 * v:.0f}: {_cm(got[k])}" for k, v in target.as_dict().items())
-            items.append(SheetItem(body, (dressed.vertices, dressed.faces), title, body_colors=skin))
+            items.append(dressed_cell(session.body, dressed.body.vertices, (dressed.vertices, dressed.faces), title))
     results = {"fabric": config.fabric, "refine": config.refine, "cases": cases}
     publish(config, "made_to_measure", results, markdown, weights=weights)
     contact_sheet(config.out / "made_to_measure.jpg", items, columns=len(items), height=330)

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.shared.figures import dressed_cell
 from experiments.shared.record import describe_dataset, write_result
 from measuring.records import environment, table
 from tryon_jax.body import load_body, shape_body
@@ -272,7 +273,7 @@ def draw_sheets(config: Config, root: Path, samples: list[Sample], body_name: st
         faces = load_arrays(mesh_path(root, sample.garment))["faces"]
         color = FABRIC_COLORS[fabrics.index(sample.fabric) % len(FABRIC_COLORS)]
         garment = (sample.vertices(), faces)
-        return SheetItem((skin, np.asarray(body.faces)), garment, title, garment_colors=color)
+        return dressed_cell(body, skin, garment, title, color)
 
     def name(sample: Sample) -> str:
         rules = sample.broken_rules()

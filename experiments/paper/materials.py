@@ -15,12 +15,13 @@ from experiments.shared.evaluate import (
     load_all,
     open_model,
 )
+from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import fold_statistics, vertex_distances
-from tryon_jax.render import SheetItem, contact_sheet
+from tryon_jax.render import contact_sheet
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.recipes import model_path
 
@@ -95,12 +96,12 @@ def main(config: Config) -> None:
     rows = held_out_rows(shown, fabrics, 0)
     row = rows[[len(rows) // 2]]
     predictions = pipeline(shown, row, fabrics)
-    body = body_vertices(model, shown.betas[row])[0], np.asarray(model.body.faces)
+    body = body_vertices(model, shown.betas[row])[0]
     count, faces = shown.garment.num_vertices, shown.garment.faces
     predicted = [predictions[f].fine[0] for f in fabrics]
-    skin = ClosedSurface(body[0].astype(np.float64), body[1])
+    skin = ClosedSurface(body.astype(np.float64), np.asarray(model.body.faces))
     items = [
-        SheetItem(body, (drape, faces), f"{kind}: {fabric}", color)
+        dressed_cell(model.body, body, (drape, faces), f"{kind}: {fabric}", color)
         for kind, drapes in (
             ("predicted", predicted),
             ("as users get it, pushed out", [push_out(drape, faces, skin).vertices for drape in predicted]),

@@ -8,12 +8,13 @@ import jax
 import numpy as np
 
 from experiments.shared.evaluate import body_vertices, open_model
+from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import area_strain, self_intersecting_share
-from tryon_jax.render import SheetItem, contact_sheet
+from tryon_jax.render import contact_sheet
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import config_space, drape, prepare_mesh
 
@@ -70,7 +71,7 @@ def main(config: Config) -> None:
         faces = garment.faces
         for k, shape in enumerate(betas):
             title = f"{label.removeprefix('unseen-')} · betas {shape[0]:g}, {shape[1]:g}"
-            items.append(SheetItem((bodies[k], np.asarray(model.body.faces)), (vertices[k], faces), title, color))
+            items.append(dressed_cell(model.body, bodies[k], (vertices[k], faces), title, color))
             found = Skin.of_shape(model.body, shape).penetration(vertices[k], faces)
             strain = area_strain(vertices[k], faces, mesh.uv, mesh.faces_uv)
             rows.append(

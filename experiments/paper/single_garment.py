@@ -22,6 +22,7 @@ from experiments.shared.evaluate import (
     open_model,
     ray_ends,
 )
+from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
@@ -256,14 +257,14 @@ def picture(
     items = []
     for samples, row in cells:
         at = np.array([row])
-        body = body_vertices(model, samples.betas[at])[0], np.asarray(model.body.faces)
+        body = body_vertices(model, samples.betas[at])[0]
         drapes = {
             "simulated": samples.drapes[config.fabric][row, : samples.garment.num_vertices],
             "single garment": predict_for(single, config, samples, at)[0],
             "ours": pipeline(samples, at, [config.fabric])[config.fabric].fine[0],
         }
         items += [
-            SheetItem(body, (drape, samples.garment.faces), f"{samples.label}: {title}", COLORS[title])
+            dressed_cell(model.body, body, (drape, samples.garment.faces), f"{samples.label}: {title}", COLORS[title])
             for title, drape in drapes.items()
         ]
     return items

@@ -11,7 +11,6 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
 from experiments.shared.evaluate import Stack, body_vertices
@@ -20,6 +19,7 @@ from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.training.dataset import STATISTICS, is_good, load_arrays, mean_path, mesh_path
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.protocol import EXTENT
+from tryon_jax.training.thin_plate import thin_plate
 from tryon_jax.tryon import TryOnModel
 
 NEIGHBOURS = 8
@@ -80,10 +80,9 @@ def shape_weights(known: Float[np.ndarray, "K b"], wanted: Float[np.ndarray, "S 
     """
     distance = np.linalg.norm(wanted[:, None] - known[None], axis=-1)
     closest = np.eye(len(known))[distance.argmin(axis=1)]
-    plane = np.column_stack([np.ones(len(known)), known])
-    if len(known) <= plane.shape[1] or np.linalg.matrix_rank(plane, tol=0.1) < plane.shape[1]:
+    weights = thin_plate(known, np.eye(len(known)), wanted)
+    if weights is None:
         return closest
-    weights = RBFInterpolator(known, np.eye(len(known)), kernel="thin_plate_spline", degree=1)(wanted)
     wild = np.abs(weights).sum(axis=1) > _WILD
     return np.where(wild[:, None], closest, weights)
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from experiments.train.curves import draw_curve
 from tryon_jax.nets.store import read_record
+from tryon_jax.training.collision_step import fit_collisions
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import fit_collisions, model_path
+from tryon_jax.training.recipes import model_path
 
 
 @dataclass(frozen=True)

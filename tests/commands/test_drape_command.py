@@ -6,10 +6,15 @@ import pytest
 import trimesh
 
 from tests.flat_model import flat_model
+from tests.tryon.test_drape_fields import make_model
 from tryon_jax.body import load_body
 from tryon_jax.cli import main
+from tryon_jax.commands import _answer
+from tryon_jax.commands._batch import Batch
+from tryon_jax.commands._request import resolve_betas
 from tryon_jax.garment import load_design_space
 from tryon_jax.tryon import save_model
+from tryon_jax.wear.session import Session
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +184,50 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
     assert said.count("done before") == 2
     assert said.count("wrote ") == 2
     assert (out / "fit.csv").read_text() == text
+
+
+def test_rows_of_one_garment_are_draped_in_one_call_as_one_by_one(tmp_path, monkeypatch, capsys):
+    """With networks that know the body; a row that fails among them fails alone."""
+    path = tmp_path / "tiny.safetensors"
+    save_model(path, make_model())
+    bodies = {"a": "0.5 -1", "bad": "0.1 0.1", "b": "2 1", "c": "-1 0.3"}
+    rows = [f"{name},tank,{betas}," for name, betas in bodies.items()]
+    rows.insert(2, "other,tshirt,1 0,")
+    rows.insert(3, "linen,tank,0 1,white-dots-on-blk")
+    (tmp_path / "orders.csv").write_text("\n".join(["name,design,betas,fabric", *rows]))
+    calls = []
+    many = Session.drape_many
+
+    def counted(self, garment, betas, **options):
+        calls.append(len(betas))
+        return many(self, garment, betas, **options)
+
+    def resolve(body, shape, num_betas):
+        if shape.betas == (0.1, 0.1):
+            raise ValueError("no such body")
+        return resolve_betas(body, shape, num_betas)
+
+    command = ["drape", "--weights", str(path), *COARSE]
+    out = tmp_path / "out"
+    with monkeypatch.context() as patched:
+        patched.setattr(Session, "drape_many", counted)
+        patched.setattr(Batch, "check", lambda *_: None)
+        patched.setattr(_answer, "check", lambda *_: None)
+        patched.setattr(_answer, "resolve_betas", resolve)
+        options = ["--batch", str(tmp_path / "orders.csv"), "--out", str(out), "--format", "npz"]
+        assert main([*command, *options]) == 1
+    assert "1 of 6 rows failed: bad" in capsys.readouterr().err
+    assert calls[0] == 3
+    assert sorted(calls[1:]) == [1, 1]
+    drapes = {}
+    for name in ("a", "b", "c"):
+        alone = tmp_path / f"{name}.npz"
+        assert main([*command, "--design", "tank", "--betas", *bodies[name].split(), "--out", str(alone)]) == 0
+        with np.load(alone) as one, np.load(out / f"{name}.npz") as row:
+            drapes[name] = row["garment_vertices"]
+            for part in ("garment_vertices", "body_vertices"):
+                np.testing.assert_allclose(row[part], one[part], atol=1e-6)
+    assert np.abs(drapes["a"] - drapes["b"]).max() > 1e-4
 
 
 def test_a_batch_names_all_bad_rows_before_it_begins(weights, tmp_path, monkeypatch, capsys):

@@ -107,12 +107,12 @@ def run(
     motion: jax.Array | None = None,
 ) -> tuple[ClothState, StepReport]:
     """Some steps, all of them unless a tolerance is reached; `pinned` marks vertices that stay where they are."""
-    springs = np.zeros(len(cloth.vertex_areas), np.asarray(cloth.vertex_areas).dtype)
+    held = np.zeros(len(cloth.vertex_areas), bool)
     if pinned is not None:
-        springs[pinned] = 1e7
+        held[pinned] = True
     motion = jnp.zeros_like(surface.vertices) if motion is None else motion
-    goal, most = jnp.asarray(tolerance, springs.dtype), jnp.asarray(steps, jnp.int32)
-    return jitted_solve(state, cloth, fabric, surface, settings, motion, jnp.asarray(springs), goal, most)
+    goal, most = jnp.asarray(tolerance, state.x.dtype), jnp.asarray(steps, jnp.int32)
+    return jitted_solve(state, cloth, fabric, surface, settings, motion, jnp.asarray(held), goal, most)
 
 
 def relax(

@@ -10,8 +10,11 @@ import trimesh
 from cloth_scenes import horizontal, make_cloth, make_fabric, place, relax, run, sheet, slab, start
 
 from tryon_jax.contact.surface import build_surface, move_surface
+from tryon_jax.garment import Design, load_design_space, placement, remesh
+from tryon_jax.garment.pattern_derivative import carry_pattern, pattern_derivative
 from tryon_jax.physics.at_rest import at_rest
-from tryon_jax.physics.rest_shape import find_rest_corners, with_rest_shape
+from tryon_jax.physics.cloth import Cloth, build_cloth
+from tryon_jax.physics.rest_shape import PatternNearDesign, find_rest_corners, uv_near, with_rest_shape
 from tryon_jax.physics.solver import SolverSettings
 
 FACES, UV = sheet(7, 6, 0.14, 0.12)
@@ -34,7 +37,7 @@ def test_a_sheet_that_hangs_by_two_corners() -> None:
     pins = np.array([0, len(UV) - 1])
     points = horizontal(UV, 1.0)
     rest, _ = relax(start(place(points, cloth), cloth, surface), cloth, fabric, surface, SETTINGS, pins, STILL, 3000)
-    pinned = jnp.zeros(len(cloth.active)).at[pins].set(1.0)
+    pinned = jnp.zeros(len(cloth.active), bool).at[pins].set(True)
 
     def changed(values: jax.Array) -> tuple:
         stiffer = replace(
@@ -80,7 +83,7 @@ def test_a_cloth_held_over_a_ball_without_friction() -> None:
     laid = horizontal(UV, 0.103) * np.array([0.9, 1.0, 0.9])
     state = start(place(laid, cloth), cloth, surface)
     rest, _ = relax(state, cloth, fabric, surface, SETTINGS, pins, 2e-7, 3000)
-    pinned = jnp.zeros(len(cloth.active)).at[pins].set(1.0)
+    pinned = jnp.zeros(len(cloth.active), bool).at[pins].set(True)
 
     def scene(values: jax.Array) -> tuple:
         changed = replace(fabric, thickness=fabric.thickness * values[1], density=fabric.density * values[2])
@@ -116,3 +119,40 @@ def test_a_cloth_that_sticks_goes_with_the_body() -> None:
 
     along = jax.jvp(value, (jnp.zeros(()),), (jnp.ones(()),))[1]
     np.testing.assert_allclose(along, np.broadcast_to([0.0, 0.0, 1.0], along.shape), atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("x64")
+def test_a_garment_by_its_design() -> None:
+    """A coarse T-shirt that hangs by neck and upper seams: derivatives by the design against patterns cut anew."""
+    space = load_design_space("kimono")
+    mesh = remesh(space, space.preset("tshirt"), 5e-3, seed=0)
+    count, surface = mesh.num_vertices, slab()
+    fabric = make_fabric(warp=60.0, shear=30.0, bending=2e-4, density=0.3)
+    pins = np.unique(np.concatenate([mesh.loops["neck"], *(v for n, v in mesh.seams.items() if "overarm" in n)]))
+
+    def cut(uv: np.ndarray) -> Cloth:
+        return build_cloth(mesh.faces, uv, mesh.faces_uv, count, bucket=128, dtype=np.float64)
+
+    cloth = cut(mesh.uv)
+    state = start(place(placement(mesh) + [0.0, 2.0, 0.0], cloth), cloth, surface)
+    rest, _ = relax(state, cloth, fabric, surface, SETTINGS, pins, STILL, 4000)
+    pinned = jnp.zeros(len(cloth.active), bool).at[pins].set(True)
+    corners = find_rest_corners(cloth, mesh.faces, mesh.faces_uv, count)
+    pattern = PatternNearDesign(mesh.design.values, mesh.uv, pattern_derivative(space, mesh))
+
+    def value(design: jax.Array) -> jax.Array:
+        sewn = with_rest_shape(cloth, corners, uv_near(pattern, design))
+        return at_rest(rest, sewn, fabric, surface, SETTINGS, pinned, tolerance=1e-10)[:count]
+
+    here = jnp.asarray(mesh.design.values)
+    for k, name in enumerate(space.names):
+        ends = []
+        for sign in (-1, 1):
+            design = Design(space.names, mesh.design.values + sign * 1e-3 * np.eye(len(space.names))[k])
+            after, _ = run(rest, cut(carry_pattern(space, mesh, design)), fabric, surface, SETTINGS, 4000, pins, STILL)
+            ends.append(np.asarray(after.x + after.remainder)[:count])
+        expected = (ends[1] - ends[0]) / 2e-3
+        found = jax.jvp(value, (here,), (jnp.zeros(len(here)).at[k].set(1.0),))[1]
+        assert np.linalg.norm(expected) > 0.1, name
+        assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected), name

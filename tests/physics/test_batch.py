@@ -47,6 +47,8 @@ def test_each_lane_takes_the_steps_it_takes_alone(x64: None, obstacle: Obstacle)
     states = [start(place(p + [0, 0.003 - RADIUS, 0], c), c, body) for p, c in zip(STARTS, cloths, strict=True)]
     motions = jnp.zeros((2, *body.vertices.shape)).at[0, :, 0].set(1e-3)
     bodies, goal = jnp.stack([body.vertices] * 2), jnp.asarray(1e-2)
+    held = np.zeros((2, 128), bool)
+    held[0, :3] = True
     for most in ((12, 4), (0, 12)):
         after, report = solve_many(
             stack(states),
@@ -58,9 +60,11 @@ def test_each_lane_takes_the_steps_it_takes_alone(x64: None, obstacle: Obstacle)
             motions,
             goal,
             jnp.array(most),
+            jnp.asarray(held),
         )
+        assert (after.x[held] == stack(states).x[held]).all()
         for k in range(2):
-            alone, expected = run(states[k], cloths[k], FABRICS[k], body, SETTINGS, most[k], None, 1e-2, motions[k])
+            alone, expected = run(states[k], cloths[k], FABRICS[k], body, SETTINGS, most[k], held[k], 1e-2, motions[k])
             np.testing.assert_allclose(after.x[k], alone.x, atol=1e-10)
             np.testing.assert_allclose(after.slip[k], alone.slip, atol=1e-10)
             assert int(report.steps[k]) == int(expected.steps) <= most[k]

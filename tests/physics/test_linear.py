@@ -8,6 +8,7 @@ from cloth_scenes import make_cloth, sheet
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tryon_jax.physics.coarse import invert_coarse
 from tryon_jax.physics.linear import conjugate_gradients, invert_blocks, multiply
 
 solve = jax.jit(conjugate_gradients)
@@ -83,6 +84,27 @@ def test_tolerance_and_cap_are_kept(x64: None) -> None:
     inverse = np.linalg.inv(np.asarray(blocks)[:, 0])
     norm = [np.einsum("vi,vij,vj", r, inverse, r) ** 0.5 for r in (left_over, np.asarray(right))]
     assert norm[0] <= 1.0001e-3 * norm[1]
+
+
+@pytest.mark.parametrize("with_patches", [False, True])
+def test_pinned_rows_are_zero_and_the_others_solve_their_own_system(x64: None, with_patches: bool) -> None:
+    blocks, neighbours, dense = random_system(6)
+    faces, uv = sheet(5, 4, 0.1, 0.08)
+    right = np.random.default_rng(1).normal(size=(len(blocks), 3))
+    pinned = np.zeros(len(blocks), bool)
+    pinned[[0, 3, 17]] = True
+    # A load on a pin, however large, is nobody else's.
+    right[pinned] = 1e6
+    blocks, neighbours, held = jnp.asarray(blocks), jnp.asarray(neighbours), jnp.asarray(pinned)
+    patches = make_cloth(faces, uv).patches
+    coarse = invert_coarse(blocks, neighbours, patches, held) if with_patches else None
+    goal, most = jnp.asarray(1e-11), jnp.asarray(1000, jnp.int32)
+    y, iterations = solve(blocks, neighbours, jnp.asarray(right), goal, most, coarse, held)
+    free = np.repeat(~pinned, 3)
+    expected = np.linalg.solve(dense[np.ix_(free, free)], right.ravel()[free])
+    assert not np.asarray(y)[pinned].any()
+    np.testing.assert_allclose(np.asarray(y).ravel()[free], expected, atol=1e-7 * np.abs(expected).max())
+    assert 0 < int(iterations) < 400
 
 
 def test_block_inverse(x64: None) -> None:

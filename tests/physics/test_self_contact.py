@@ -127,30 +127,29 @@ def test_far_layers_and_padding_feel_nothing(x64: None) -> None:
 def test_a_folded_sheet_rests_on_itself(x64: None, held: bool) -> None:
     """Half of a strip is held in the air, the other half folded over it: without contact it falls through."""
     faces, uv = sheet(14, 3, 0.28, 0.06)
-    cloth, surface, fabric = make_cloth(faces, uv), slab(), make_fabric(bending=1e-6, warp=300.0, shear=100.0)
+    # Softer cloth folds within one cell, whose neighbours are not kept apart.
+    cloth, surface, fabric = make_cloth(faces, uv), slab(), make_fabric(bending=3e-5, warp=300.0, shear=100.0)
     # Around a half circle of 4 cm length, back at a height of its diameter.
     radius, turn = 0.04 / np.pi, np.clip((uv[:, 0] - 0.12) / 0.04, 0, 1) * np.pi
     x = np.where(uv[:, 0] < 0.12, uv[:, 0], 0.12 + radius * np.sin(turn) - np.maximum(uv[:, 0] - 0.16, 0))
     points = np.stack([x, 1.0 + radius * (1 - np.cos(turn)), -uv[:, 1]], axis=1)
-    pinned = np.zeros(64)
-    pinned[np.flatnonzero(uv[:, 0] < 0.13)] = 1e7
+    pinned = np.zeros(64, bool)
+    pinned[np.flatnonzero(uv[:, 0] < 0.13)] = True
     settings = SolverSettings(linear_tolerance=0.01)
     state: ClothState = start(place(points, cloth), cloth, surface)
     pairs, crossings = None, []
     folding = SelfContact(thickness=0.004)
-    still, springs = jnp.zeros_like(surface.vertices), jnp.asarray(pinned)
+    still, pins = jnp.zeros_like(surface.vertices), jnp.asarray(pinned)
     goal, piece = jnp.asarray(0.0), jnp.asarray(folding.refresh, jnp.int32)
     for _ in range(25):
         if held:
             pairs, overflow = find_pairs(np.asarray(state.x)[: len(uv)], faces, folding, 2048, pairs)
             assert not overflow
-        state, _ = jitted_solve(state, cloth, fabric, surface, settings, still, springs, goal, piece, pairs)
+        state, _ = jitted_solve(state, cloth, fabric, surface, settings, still, pins, goal, piece, pairs)
         crossings.append(int(self_intersecting_faces(np.asarray(state.x)[: len(uv)], faces).sum()))
     height = np.asarray(state.x)[: len(uv)][uv[:, 0] > 0.17, 1] - 1.0
     if held:
-        assert crossings[-1] == 0, crossings
-        # On the way a corner may dip through for a moment and is pushed back.
-        assert max(crossings) <= 6, crossings
+        assert max(crossings) == 0, crossings
         assert 0.002 < height.min() < 0.005
     else:
         assert max(crossings) > 8, crossings

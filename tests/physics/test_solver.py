@@ -88,6 +88,7 @@ def test_heavy_strip_hangs_by_its_top(x64: None) -> None:
     points = np.stack([uv[:, 1], 2.0 - uv[:, 0], 0 * uv[:, 0]], axis=1)
     top = np.flatnonzero(uv[:, 0] == 0)
     state, _ = relax(start(place(points, cloth), cloth, surface), cloth, fabric, surface, STATIC, top)
+    assert (np.asarray(state.x)[top] == points[top]).all()
     bottom = np.flatnonzero(uv[:, 0] > 0.6 - 1e-9)
     longer = points[bottom, 1] - np.asarray(state.x)[bottom, 1]
     assert longer.mean() == pytest.approx(0.5 * GRAVITY * 0.6**2 / (2 * 300.0), rel=0.01)
@@ -154,6 +155,7 @@ def test_a_slack_strip_is_a_catenary(x64: None) -> None:
     points = np.stack([radius * np.sin(angle), 2 - radius * (np.cos(angle) - np.cos(turn / 2)), -uv[:, 1]], axis=1)
     ends = np.flatnonzero((uv[:, 0] == 0) | (uv[:, 0] > length - 1e-9))
     state, _ = relax(start(place(points, cloth), cloth, surface), cloth, fabric, surface, STATIC, ends, 1e-5)
+    assert (np.asarray(state.x)[ends] == points[ends]).all()
     lowest = 2 - np.asarray(state.x)[: len(uv), 1].min()
     assert lowest == pytest.approx(sag, rel=0.01)
 

@@ -10,6 +10,7 @@ from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.config import load_config
 from tryon_jax.nets.store import read_record
 from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.training.collision_step import fit_collisions
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import DatasetConfig, open_dataset
 from tryon_jax.training.garments import load_simulated, training_shapes
@@ -19,7 +20,6 @@ from tryon_jax.training.mean import MeanTraining
 from tryon_jax.training.plan import plan
 from tryon_jax.training.recipes import (
     StageOptions,
-    fit_collisions,
     fit_fine,
     fit_mean,
     fit_smooth,

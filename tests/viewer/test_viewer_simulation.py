@@ -22,7 +22,7 @@ def test_a_simulation_tells_its_progress_and_ends_on_the_body_that_was_asked_for
         shares.append(share)
         shapes.append(mesh.vertices)
 
-    simulation = Simulation(page.session.body, result, step, words.append)
+    simulation = Simulation(page.session, result, step, words.append, refine=False)
     simulation.join(400)
     assert not simulation.running
     assert len(words) == 1
@@ -40,7 +40,7 @@ def test_what_goes_wrong_is_said(page):
     result = page.compute(page.start())
     words = []
     broken = replace(result, dressed=replace(result.dressed, fabric="silk"))
-    Simulation(page.session.body, broken, lambda *_: None, words.append).join(60)
+    Simulation(page.session, broken, lambda *_: None, words.append, refine=False).join(60)
     assert words[0].startswith("the simulation failed")
     assert "silk" in words[0]
 
@@ -49,7 +49,7 @@ def test_what_goes_wrong_is_said(page):
 def test_a_drape_is_refined_or_left_when_it_is_cancelled(page):
     result = page.compute(page.start())
     shares, words = [], []
-    refining = Simulation(page.session.body, result, lambda share, _: shares.append(share), words.append, page.session)
+    refining = Simulation(page.session, result, lambda share, _: shares.append(share), words.append, refine=True)
     refining.cancel()
     refining.join(400)
     assert words == ["cancelled"]
@@ -59,7 +59,7 @@ def test_a_drape_is_refined_or_left_when_it_is_cancelled(page):
         shares.append(share)
         shapes.append(mesh.vertices)
 
-    Simulation(page.session.body, result, step, words.append, page.session).join(400)
+    Simulation(page.session, result, step, words.append, refine=True).join(400)
     assert words[1].startswith("refined in")
     assert shares[-1] == 1.0
     # The flat panels have fallen onto the body.

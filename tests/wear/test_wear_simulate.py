@@ -40,7 +40,7 @@ def cap(radius: float) -> tuple[np.ndarray, Pattern]:
 def test_a_sheet_settles_on_the_ball_and_stays_there(simulator: Simulator) -> None:
     points, pattern = cap(RADIUS + 0.01)
     seen = []
-    result = simulator.settle(points, pattern, FABRIC, lambda steps, residual: seen.append((steps, residual)))
+    result = simulator.settle(points, pattern, FABRIC, lambda steps, residual, _: seen.append((steps, residual)))
     assert result.at_rest or result.residual < 5 * result.tolerance
     assert np.linalg.norm(result.vertices, axis=1).min() > RADIUS - 1e-3
     assert seen[-1][0] == result.steps

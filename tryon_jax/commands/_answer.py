@@ -1,6 +1,7 @@
 """Requests answered by a session: what is done to a drape, in which order, and when it is refused."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +16,11 @@ from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.gate import judge_betas
 from tryon_jax.wear.own import OwnOptions
+from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
+
+FAILURES = (ValueError, TypeError, OSError, FloatingPointError)
+"""What goes wrong with one request and says nothing of the others."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +66,32 @@ def check(session: Session, request: Request, treatment: Treatment) -> None:
             judge_betas(betas, session.model.config.beta_ranges).check("this body")
 
 
+@dataclass(frozen=True, eq=False)
+class Draped:
+    """A request's drape, before anything is done to it."""
+
+    dressed: DressedBody
+    remarks: list[str]
+    """What there is to say about the body's shape."""
+
+
 def answer(
-    session: Session, request: Request, treatment: Treatment, clock: Clock, pose: Float[np.ndarray, "J 3"] | None = None
+    session: Session,
+    request: Request,
+    treatment: Treatment,
+    clock: Clock,
+    pose: Float[np.ndarray, "J 3"] | None = None,
+    draped: Draped | None = None,
 ) -> tuple[DressedBody, list[str]]:
     """The dressed body of one request, and what there is to say about its shape.
+
+    Args:
+        session: What drapes.
+        request: Garment, body and fabric.
+        treatment: What is done to the drape.
+        clock: Takes the time.
+        pose: To be put on at the end.
+        draped: The drape, where `drape_together` has made it already.
 
     Raises:
         ValueError: a request that makes no sense.
@@ -72,25 +99,11 @@ def answer(
     """
     check(session, request, treatment)
     fabric = request.fabric or session.fabrics[0]
-    with clock.stage("body"):
-        betas, remarks = resolve_betas(session.body, request.shape, session.num_betas)
-    design = None if request.mesh is not None else resolve_design(session.space, request.cut)
-    garment = session.prepare(
-        design,
-        mesh=request.mesh,
-        own=treatment.own,
-        seed=treatment.seed,
-        stopwatch=clock,
-        progress=clock.progress("settling"),
-    )
-    if treatment.simulate:
-        progress = clock.progress("dressing")
-        dressed = session.simulate(garment, betas, fabric=fabric, stopwatch=clock, progress=progress)
-    else:
-        learned = fabric if fabric in session.fabrics else session.fabrics[0]
-        dressed = session.drape(garment, betas, fabric=learned, stopwatch=clock)
-        if treatment.gate:
-            session.judge_body(dressed.body).check("this body")
+    if draped is None:
+        draped = _drape(session, request, treatment, clock)
+    dressed = draped.dressed
+    if treatment.gate and not treatment.simulate:
+        session.judge_body(dressed.body).check("this body")
     if treatment.refine:
         progress = clock.progress("refining")
         dressed = session.refine(dressed, treatment.steps, fabric=fabric, stopwatch=clock, progress=progress)
@@ -98,7 +111,75 @@ def answer(
         dressed = session.push_out(dressed, CLEARANCE, stopwatch=clock)
     dressed = session.judge(dressed, stopwatch=clock)
     if treatment.gate and dressed.verdict is not None:
-        dressed.verdict.check(garment.label)
+        dressed.verdict.check(dressed.garment.label)
     if pose is not None:
         dressed = session.pose(dressed, pose, stopwatch=clock)
-    return dressed, remarks
+    return dressed, draped.remarks
+
+
+def drape_together(
+    session: Session, requests: Sequence[Request], treatment: Treatment, clock: Clock
+) -> dict[str, Draped]:
+    """Learned drapes by name: those of the first request's garment and fabric, made in one call.
+
+    A request that cannot be draped is left out, to fail when it is answered by itself.
+
+    Args:
+        session: What drapes.
+        requests: The first is draped, and those that ask for the same garment and fabric.
+        treatment: As in `answer`.
+        clock: Takes the time.
+    """
+    if treatment.simulate or not requests:
+        return {}
+    first = requests[0]
+    shapes: dict[str, tuple[np.ndarray, list[str]]] = {}
+    try:
+        for request in requests:
+            if _drape_key(session, request) == _drape_key(session, first):
+                with suppress(*FAILURES), clock.stage("body"):
+                    shapes[request.name] = resolve_betas(session.body, request.shape, session.num_betas)
+        if not shapes:
+            return {}
+        garment = _garment(session, first, treatment, clock)
+        betas = [betas for betas, _ in shapes.values()]
+        drapes = session.drape_many(garment, betas, fabric=_learned(session, first), stopwatch=clock)
+    except FAILURES:
+        return {}
+    return {
+        name: Draped(dressed, remarks) for dressed, (name, (_, remarks)) in zip(drapes, shapes.items(), strict=True)
+    }
+
+
+def _drape(session: Session, request: Request, treatment: Treatment, clock: Clock) -> Draped:
+    with clock.stage("body"):
+        betas, remarks = resolve_betas(session.body, request.shape, session.num_betas)
+    garment = _garment(session, request, treatment, clock)
+    if treatment.simulate:
+        fabric, progress = request.fabric or session.fabrics[0], clock.progress("dressing")
+        dressed = session.simulate(garment, betas, fabric=fabric, stopwatch=clock, progress=progress)
+    else:
+        dressed = session.drape(garment, betas, fabric=_learned(session, request), stopwatch=clock)
+    return Draped(dressed, remarks)
+
+
+def _garment(session: Session, request: Request, treatment: Treatment, clock: Clock) -> PreparedGarment:
+    design = None if request.mesh is not None else resolve_design(session.space, request.cut)
+    return session.prepare(
+        design,
+        mesh=request.mesh,
+        own=treatment.own,
+        seed=treatment.seed,
+        stopwatch=clock,
+        progress=clock.progress("settling"),
+    )
+
+
+def _learned(session: Session, request: Request) -> str:
+    """The fabric that the networks drape; another one is only refined."""
+    return request.fabric if request.fabric in session.fabrics else session.fabrics[0]
+
+
+def _drape_key(session: Session, request: Request) -> tuple[str, str, str]:
+    """What requests must share to be draped together."""
+    return str(request.mesh), repr(request.cut), _learned(session, request)

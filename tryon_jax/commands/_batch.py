@@ -1,7 +1,8 @@
 """A batch of garments from a CSV file: checked as a whole first, written row by row, continued where it stopped.
 
-The table `fit.csv` has the same columns whatever the rows hold. A row that fails has its reason there, and the others
-go on. A row is done again only when it failed, when its files are gone, or when something else is asked for.
+Rows of one garment and fabric that are not far apart are draped in one call. The table `fit.csv` has the same columns
+whatever the rows hold. A row that fails has its reason there, and the others go on. A row is done again only when it
+failed, when its files are gone, or when something else is asked for.
 """
 
 import csv
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.commands._answer import Treatment, answer, check
+from tryon_jax.commands._answer import FAILURES, Draped, Treatment, answer, check, drape_together
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import record, report_lines
@@ -24,7 +25,7 @@ from tryon_jax.commands._table import FAILED, TABLE, cell, columns, csv_text, fl
 from tryon_jax.files.atomic import write_text
 from tryon_jax.physics.dressing import Diverged
 from tryon_jax.wear.gate import Refused
-from tryon_jax.wear.session import Session
+from tryon_jax.wear.session import TOGETHER, Session
 
 
 @dataclass(frozen=True)
@@ -57,16 +58,21 @@ class Batch:
         done = self._read(names)
         rows: dict[str, dict[str, str]] = {}
         failed = []
-        for request, target in zip(self.requests, self.targets, strict=True):
-            order = self._order(request)
-            before = done.get(request.name)
-            if before is not None and before["order"] == order and _is_done(before, target):
+        draped: dict[str, Draped] = {}
+        for number, (request, target) in enumerate(zip(self.requests, self.targets, strict=True)):
+            if self._is_done(done, request, target):
                 say(f"-- {request.name}: done before")
-                rows[request.name] = before
+                rows[request.name] = done[request.name]
                 continue
             say(f"-- {request.name}")
-            row = self._row(session, request, target, clock)
-            rows[request.name] = {name: cell((row | {"order": order}).get(name)) for name in names}
+            if request.name not in draped:
+                # Rows of the same garment among the next ones are draped with it; drapes kept stay few.
+                ahead = slice(number, number + TOGETHER)
+                pairs = zip(self.requests[ahead], self.targets[ahead], strict=True)
+                waiting = [r for r, t in pairs if r.name not in draped and not self._is_done(done, r, t)]
+                draped |= drape_together(session, waiting, self.treatment, clock)
+            row = self._row(session, request, target, clock, draped.pop(request.name, None))
+            rows[request.name] = {name: cell((row | {"order": self._order(request)}).get(name)) for name in names}
             if row.get("error"):
                 failed.append(request.name)
             # Rows of before that are still to come are kept, so that an interrupted run loses nothing.
@@ -74,15 +80,26 @@ class Batch:
         self._write(names, [rows.get(r.name) for r in self.requests])
         return failed
 
-    def _row(self, session: Session, request: Request, target: Target, clock: Clock) -> dict[str, Any]:
+    def _is_done(self, done: Mapping[str, Mapping[str, str]], request: Request, target: Target) -> bool:
+        row = done.get(request.name)
+        return (
+            row is not None
+            and row["order"] == self._order(request)
+            and not row["error"]
+            and all(path.is_file() for path in target.paths)
+        )
+
+    def _row(
+        self, session: Session, request: Request, target: Target, clock: Clock, draped: Draped | None
+    ) -> dict[str, Any]:
         """Drape one row and write its files; what goes wrong becomes part of the record."""
         try:
-            dressed, remarks = answer(session, request, self.treatment, clock, self.pose)
+            dressed, remarks = answer(session, request, self.treatment, clock, self.pose, draped)
             written = target.write(dressed, request.name, self.output, clock)
         except (Refused, Diverged) as error:
             say(f"refused  {error}")
             return {"name": request.name, "outcome": "refused", "error": str(error)}
-        except (ValueError, TypeError, OSError, FloatingPointError) as error:
+        except FAILURES as error:
             say(f"failed   {error}")
             return {"name": request.name, "outcome": FAILED, "error": str(error)}
         say(*report_lines(dressed, remarks), *(f"wrote    {path}" for path in written))
@@ -105,7 +122,3 @@ class Batch:
 
     def _write(self, names: Sequence[str], rows: Sequence[Mapping[str, str] | None]) -> None:
         write_text(self.folder / TABLE, csv_text(names, [row for row in rows if row is not None]))
-
-
-def _is_done(row: Mapping[str, str], target: Target) -> bool:
-    return not row["error"] and all(path.is_file() for path in target.paths)

@@ -4,6 +4,8 @@ import sys
 import time
 from collections.abc import Callable
 
+import numpy as np
+
 from tryon_jax.wear.stopwatch import Stopwatch
 
 
@@ -15,11 +17,11 @@ class Clock(Stopwatch):
         # One thread has read and imported modules so far.
         self.seconds["start-up"] = time.process_time()
 
-    def progress(self, name: str) -> Callable[[int, float], None]:
+    def progress(self, name: str) -> Callable[[int, float, np.ndarray], None]:
         """Tells steps and residual of a simulation on the terminal, where there is one, in one line."""
         start = time.perf_counter()
 
-        def tell(steps: int, residual: float) -> None:
+        def tell(steps: int, residual: float, _: np.ndarray) -> None:
             if sys.stderr.isatty():
                 seconds = time.perf_counter() - start
                 line = f"{name}: {steps} steps, residual {residual:.3f}, {seconds:.0f} s"

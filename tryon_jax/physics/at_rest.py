@@ -10,7 +10,7 @@ would stick, does less. Without friction both sides agree.
 import jax
 import jax.numpy as jnp
 from jax.scipy.sparse.linalg import bicgstab
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from tryon_jax.contact.closest_points import point_on_faces
 from tryon_jax.contact.surface import Surface
@@ -36,7 +36,7 @@ def at_rest(
     fabric: Fabric,
     surface: Surface,
     settings: SolverSettings | None = None,
-    pinned: Float[Array, " V"] | None = None,
+    pinned: Bool[Array, " V"] | None = None,
     tolerance: float = TOLERANCE,
     iterations: int = ITERATIONS,
 ) -> Float[Array, "V 3"]:
@@ -52,7 +52,7 @@ def at_rest(
         fabric: The material.
         surface: The body.
         settings: As for the solver; gravity and the contact law are read.
-        pinned: Larger than 0 for vertices that are held where they are.
+        pinned: Vertices that are held where they are.
         tolerance: Relative residual of the linear solve.
         iterations: Of the linear solver, at most.
 
@@ -62,7 +62,7 @@ def at_rest(
     settings = settings or SolverSettings()
     state, start = jax.lax.stop_gradient((state, surface))
     x0 = state.x + state.remainder
-    held = (jnp.asarray(cloth.active) == 0) | (False if pinned is None else jnp.asarray(pinned) > 0)
+    held = (jnp.asarray(cloth.active) == 0) | (False if pinned is None else pinned)
     blocks = tangent_blocks(state, *jax.lax.stop_gradient((cloth, fabric)), start, settings)
     inverse = jax.lax.stop_gradient(invert_blocks(blocks[:, 0]))
 

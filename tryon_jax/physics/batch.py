@@ -12,7 +12,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.contact.closest_points import closest_faces
 from tryon_jax.contact.surface import Surface, move_surface, nearest_vertices
@@ -75,8 +75,9 @@ def solve_many(
     motions: Float[Array, "B W 3"],
     tolerance: Float[Array, ""],
     max_steps: Int[Array, " B"],
+    pinned: Bool[Array, "B V"] | None = None,
 ) -> tuple[ClothState, StepReport]:
-    """`solver.solve` for B garments, none of them pinned.
+    """`solver.solve` for B garments.
 
     Args:
         states: of the garments, stacked.
@@ -88,15 +89,21 @@ def solve_many(
         motions: how far each body has moved since the last step, metres.
         tolerance: residual at which a lane stops.
         max_steps: of each lane; a lane with none is handed back as it is.
+        pinned: vertices of each lane that stay exactly where they are; None leaves all free.
     """
 
     def one(
-        state: ClothState, cloth: Cloth, fabric: Fabric, body: jax.Array, motion: jax.Array, most: jax.Array
+        state: ClothState,
+        cloth: Cloth,
+        fabric: Fabric,
+        body: jax.Array,
+        motion: jax.Array,
+        most: jax.Array,
+        held: jax.Array | None,
     ) -> tuple[ClothState, StepReport]:
-        free = jnp.zeros_like(jnp.asarray(cloth.vertex_areas))
-        return solve(state, cloth, fabric, move_surface(surface, body), settings, motion, free, tolerance, most)
+        return solve(state, cloth, fabric, move_surface(surface, body), settings, motion, held, tolerance, most)
 
-    return jax.vmap(one)(states, cloths, fabrics, bodies, motions, max_steps)
+    return jax.vmap(one)(states, cloths, fabrics, bodies, motions, max_steps, pinned)
 
 
 @jax.jit

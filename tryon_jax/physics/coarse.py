@@ -5,8 +5,10 @@ patches of neighbouring vertices, inverted once, removes it (a two-level additiv
 preconditioner: a matrix of some steps ago serves as well.
 """
 
+from dataclasses import replace
+
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.physics.patches import Patches
 from tryon_jax.types import EXACT, pytree
@@ -23,16 +25,25 @@ class CoarseInverse:
     inverse: Float[Array, "3 G 3 G"]
 
 
-def invert_coarse(blocks: Float[Array, "V K 3 3"], neighbours: Int[Array, "V K"], patches: Patches) -> CoarseInverse:
+def invert_coarse(
+    blocks: Float[Array, "V K 3 3"],
+    neighbours: Int[Array, "V K"],
+    patches: Patches,
+    pinned: Bool[Array, " V"] | None = None,
+) -> CoarseInverse:
     """Galerkin's matrix of the patches' translations, inverted.
 
     Args:
         blocks: Blocks of the system's matrix, N/m.
         neighbours: The vertex of each block's column.
         patches: Which vertices move together.
+        pinned: Vertices that do not move: they leave their patches.
     """
     patch = jnp.asarray(patches.patch)
     count, one_more = len(patches.members), len(patches.members) + 1
+    if pinned is not None:
+        patch = jnp.where(pinned, count, patch)
+        patches = replace(patches, patch=patch)
     pairs = patch[:, None] * one_more + patch[neighbours]
     matrix = jnp.zeros((one_more * one_more, 9), blocks.dtype).at[pairs.reshape(-1)].add(blocks.reshape(-1, 9))
     matrix = matrix.reshape(one_more, one_more, 3, 3)[:count, :count].transpose(2, 0, 3, 1).reshape(3 * count, -1)

@@ -296,7 +296,6 @@ def _settle(
 ) -> Drape:
     """Solve in pieces of `refresh` steps, searching closest points anew between them."""
     state, report = drape.state, drape.report
-    free = jnp.zeros_like(cloth.vertex_areas)
     still = jnp.zeros_like(drape.surface.vertices)
     motion = still if motion is None else motion
     steps = iterations = 0
@@ -309,7 +308,7 @@ def _settle(
             pairs = _pairs(state, cloth, drape.num_vertices, self_contact, pairs)
         piece = jnp.asarray(min(refresh, max_steps - steps), jnp.int32)
         goal = jnp.asarray(tolerance, state.x.dtype)
-        state, report = _solve(state, cloth, fabric.unnamed, drape.surface, settings, motion, free, goal, piece, pairs)
+        state, report = _solve(state, cloth, fabric.unnamed, drape.surface, settings, motion, None, goal, piece, pairs)
         motion = still
         steps, iterations = steps + int(report.steps), iterations + int(report.iterations)
         # The linear solver stops at NaN: positions may stay finite where forces are not.

@@ -3,7 +3,7 @@ with a coarse correction beside them where one is given."""
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.physics.coarse import CoarseInverse, coarse_correction
 from tryon_jax.types import EXACT
@@ -44,8 +44,12 @@ def conjugate_gradients(
     tolerance: Float[Array, ""],
     max_iterations: Int[Array, ""],
     coarse: CoarseInverse | None = None,
+    pinned: Bool[Array, " V"] | None = None,
 ) -> tuple[Float[Array, "V 3"], Int[Array, ""]]:
     """Solve for a symmetric positive definite matrix to a relative residual in the norm of the inverse diagonal blocks.
+
+    Pinned rows are projected out of every residual (Baraff and Witkin 1998), which keeps them out of every direction:
+    what is solved is the system of the free rows, and its condition does not suffer from the pins.
 
     Args:
         blocks: blocks of the matrix, K to a row; the first is the diagonal's.
@@ -53,7 +57,9 @@ def conjugate_gradients(
         right: right-hand side.
         tolerance: relative residual to stop at.
         max_iterations: iterations at most.
-        coarse: of this matrix or one much like it; without it the preconditioner is the diagonal blocks.
+        coarse: of this matrix or one much like it, made with the same `pinned`; without it the preconditioner is the
+            diagonal blocks.
+        pinned: rows whose solution is zero, whatever their right-hand side.
 
     Returns:
         the solution and the number of iterations taken.
@@ -62,6 +68,11 @@ def conjugate_gradients(
     # The barrier keeps the new layout from being fused into, and recomputed in, every product.
     blocks = jax.lax.optimization_barrier(blocks.transpose(1, 2, 3, 0))
     neighbours, right = neighbours.T, right.T
+
+    def project(r):
+        return r if pinned is None else jnp.where(pinned[None], 0.0, r)
+
+    right = project(right)
 
     def blockwise(r):
         return inverse[0] * r[0][None] + inverse[1] * r[1][None] + inverse[2] * r[2][None]
@@ -85,7 +96,7 @@ def conjugate_gradients(
 
     def iterate(carry):
         iteration, y, r, p, rz, _ = carry
-        product = multiply(blocks, neighbours, p)
+        product = project(multiply(blocks, neighbours, p))
         alpha = rz / jnp.vdot(p, product, precision=EXACT)
         y, r = y + alpha * p, r - alpha * product
         z, new, size = precondition(r)

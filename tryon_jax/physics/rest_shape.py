@@ -1,4 +1,8 @@
-"""The rest state of a cloth as a function of its pattern's coordinates, for derivatives with respect to a design."""
+"""The rest state of a cloth as a function of its pattern's coordinates, and those as one of the design.
+
+`at_rest(state, with_rest_shape(cloth, corners, uv_near(pattern, design)), fabric, surface)` has the derivatives of a
+drape at rest by the parameters of its design.
+"""
 
 from dataclasses import replace
 
@@ -8,7 +12,7 @@ from jaxtyping import Array, Float, Int
 
 from tryon_jax.mesh.topology import hinges as find_hinges
 from tryon_jax.physics.cloth import Cloth
-from tryon_jax.types import ArrayLike, pytree
+from tryon_jax.types import EXACT, ArrayLike, pytree
 
 
 @pytree
@@ -19,6 +23,29 @@ class RestCorners:
     hinges: Int[ArrayLike, "H 2 2"]
     """The two ends of each hinge's edge, in each of its two faces: a seam has an edge in either panel."""
     hinge_faces: Int[ArrayLike, "H 2"]
+
+
+@pytree
+class PatternNearDesign:
+    """A pattern's coordinates near one design, where they are linear in its parameters."""
+
+    design: Float[ArrayLike, " P"]
+    """Parameters of the design that it was cut by, metres."""
+    uv: Float[ArrayLike, "U 2"]
+    """Coordinates at that design, metres."""
+    slope: Float[ArrayLike, "U 2 P"]
+    """Their derivative, from `garment.pattern_derivative`."""
+
+
+def uv_near(pattern: PatternNearDesign, design: Float[ArrayLike, " P"]) -> Float[Array, "U 2"]:
+    """Pattern coordinates at a design near the pattern's own, metres, to first order; jittable, differentiable.
+
+    Args:
+        pattern: The pattern with its derivative.
+        design: Parameters, metres.
+    """
+    change = jnp.asarray(design) - jnp.asarray(pattern.design)
+    return jnp.asarray(pattern.uv) + jnp.einsum("ucp,p->uc", jnp.asarray(pattern.slope), change, precision=EXACT)
 
 
 def find_rest_corners(

@@ -138,7 +138,6 @@ def _assemble(
     surface: Surface,
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
-    pinned: Float[Array, " V"],
     pairs: SelfPairs | None,
 ) -> _System:
     dtype = state.x.dtype
@@ -155,7 +154,7 @@ def _assemble(
     gradient = gradient + weight + normal_gradient(contact, cloth)
     gradient = gradient + (settings.law.tangential * cloth.vertex_areas)[:, None] * slip
 
-    inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0) + pinned
+    inertia = jnp.where(cloth.active > 0, mass / (h * h), 1.0)
     diagonal = at_vertices + grip[:, None, None] * tangent
     diagonal = diagonal + inertia[:, None, None] * jnp.eye(3, dtype=dtype)[None]
     if pairs is not None:
@@ -188,8 +187,8 @@ def tangent_blocks(
         surface: The body.
         settings: Of the solver.
     """
-    still, free = jnp.zeros_like(surface.vertices), jnp.zeros_like(state.x[:, 0])
-    return _assemble(state, cloth, fabric, surface, settings, still, free, None).blocks
+    still = jnp.zeros_like(surface.vertices)
+    return _assemble(state, cloth, fabric, surface, settings, still, None).blocks
 
 
 def step(
@@ -199,7 +198,7 @@ def step(
     surface: Surface,
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
-    pinned: Float[Array, " V"],
+    pinned: Bool[Array, " V"] | None = None,
     pairs: SelfPairs | None = None,
     coarse: CoarseInverse | None = None,
 ) -> tuple[ClothState, StepReport]:
@@ -212,12 +211,12 @@ def step(
         surface: the body.
         settings: of the step.
         surface_motion: how far each body vertex has moved since the last step, metres; friction drags the cloth along.
-        pinned: stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        pinned: vertices that stay exactly where they are; None leaves all free.
         pairs: parts of the cloth that must not pass through each other; None leaves self-contact out.
-        coarse: coarse half of the preconditioner; None leaves it out.
+        coarse: coarse half of the preconditioner, for the same pins; None leaves it out.
     """
     dtype = state.x.dtype
-    system = _assemble(state, cloth, fabric, surface, settings, surface_motion, pinned, pairs)
+    system = _assemble(state, cloth, fabric, surface, settings, surface_motion, pairs)
     contact, mass = system.contact, system.mass
     move, iterations = conjugate_gradients(
         system.blocks,
@@ -226,6 +225,7 @@ def step(
         jnp.asarray(settings.linear_tolerance, dtype),
         jnp.asarray(settings.linear_iterations, jnp.int32),
         coarse,
+        pinned,
     )
     length = jnp.sqrt((move * move).sum(-1) + 1e-20)
     move = move * jnp.minimum(1.0, settings.max_move / length)[:, None]
@@ -238,7 +238,7 @@ def step(
         slip=jnp.where((contact.load > 0)[:, None], system.slip + dragged, 0.0),
         face=contact.point.face,
     )
-    free = (cloth.active * (pinned == 0))[:, None]
+    free = (cloth.active if pinned is None else jnp.where(pinned, 0.0, cloth.active))[:, None]
     scale = jnp.linalg.norm(mass * GRAVITY * cloth.active) + jnp.linalg.norm(contact.load)
     shape_weight = jnp.concatenate([cloth.vertex_areas, cloth.face_areas])
     report = StepReport(
@@ -271,7 +271,7 @@ def solve(
     surface: Surface,
     settings: SolverSettings,
     surface_motion: Float[Array, "W 3"],
-    pinned: Float[Array, " V"],
+    pinned: Bool[Array, " V"] | None,
     tolerance: Scalar,
     max_steps: int | Int[Array, ""],
     pairs: SelfPairs | None = None,
@@ -288,7 +288,7 @@ def solve(
         surface: The body.
         settings: Of the steps.
         surface_motion: Motion of the body's vertices in the first step, metres; later steps have none.
-        pinned: Stiffness of a spring that holds each vertex where it is, N/m (0: free).
+        pinned: Vertices that stay exactly where `state` has them; None leaves all free.
         tolerance: Residual at which to stop: net force over weight plus contact load.
         max_steps: Steps at most.
         pairs: Vertices and faces of the cloth near each other; None leaves self-contact out.
@@ -319,8 +319,8 @@ def solve(
     def some_steps(carry: _Progress) -> _Progress:
         state, before, motion = carry
         # The first step assembles the same once more: a second copy of the step would double what is compiled.
-        system = _assemble(state, cloth, fabric, surface, settings, motion, pinned, pairs)
-        coarse = invert_coarse(system.blocks, jnp.asarray(cloth.neighbours), cloth.patches)
+        system = _assemble(state, cloth, fabric, surface, settings, motion, pairs)
+        coarse = invert_coarse(system.blocks, jnp.asarray(cloth.neighbours), cloth.patches, pinned)
         coarse = replace(coarse, inverse=coarse.inverse * settings.coarse)
         until = before.steps + COARSE_STEPS
         return jax.lax.while_loop(lambda c: running(c) & (c[1].steps < until), lambda c: advance(c, coarse), carry)

@@ -20,6 +20,7 @@ from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.training.collisions import random_betas
 from tryon_jax.training.stages import StageSet
+from tryon_jax.training.thin_plate import thin_plate
 from tryon_jax.tryon import Stage, base_and_detail, fine_base
 from tryon_jax.tryon.stages import field_coefficients
 
@@ -72,10 +73,8 @@ def spread_over_shapes(
         values: K values at each.
         wanted: Other shapes.
     """
-    plane = np.column_stack([np.ones(len(known)), known])
-    carries = len(known) > plane.shape[1] and np.linalg.matrix_rank(plane, tol=0.1) == plane.shape[1]
-    kernel, degree = ("thin_plate_spline", 1) if carries else ("linear", 0)
-    return RBFInterpolator(known, values, kernel=kernel, degree=degree)(wanted)
+    found = thin_plate(known, values, wanted)
+    return RBFInterpolator(known, values, kernel="linear", degree=0)(wanted) if found is None else found
 
 
 def principal_functions(

@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
-from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
@@ -29,15 +28,7 @@ from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.carried import fresh_topologies
-from tryon_jax.training.checkpoint import load_checkpoint
-from tryon_jax.training.collisions import (
-    CollisionBatch,
-    CollisionOptions,
-    CollisionTask,
-    draw_collisions,
-    make_pool,
-    with_fine,
-)
+from tryon_jax.training.collisions import with_fine
 from tryon_jax.training.dataset import read_config
 from tryon_jax.training.drapes import has_drapes
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
@@ -49,7 +40,6 @@ from tryon_jax.training.stages import (
     Distance,
     FineInput,
     Predictor,
-    StageBatch,
     StageSet,
     StageWeights,
     displacement_scale,
@@ -189,7 +179,7 @@ def fit_smooth(
     sets, checksum = smooth_sets(samples, manifest), dataset_checksum(root, names)
     stage, record = fit_stage(model, "smooth", model.smooth, sets, run / "smooth", options, checksum, limits=limits)
     model = replace(model, smooth=stage)
-    _save(run, model, "smooth", record)
+    save_stage(run, model, "smooth", record)
     return model
 
 
@@ -232,7 +222,7 @@ def fit_fine(
     """
     if options.energy and options.fresh:
         raise ValueError(f"energy = {options.energy} needs fresh = 0, not {options.fresh}: carried drapes do not rest")
-    return _fit_fabrics(run, fabrics, pool, _train_fine, "fine", root, run, options, samples, limits)
+    return fit_fabrics(run, fabrics, pool, _train_fine, "fine", root, run, options, samples, limits)
 
 
 def _train_fine(
@@ -249,10 +239,19 @@ def _train_fine(
     return fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, cloth, limits)
 
 
-def _fit_fabrics(
+def fit_fabrics(
     run: Path, fabrics: Sequence[str], pool: Executor | None, train: Callable[..., Any], name: str, *arguments: Any
 ) -> TryOnModel:
-    """One stage for each fabric; results are put into the model by this process, as they come."""
+    """One stage for each fabric; results are put into the model by this process, as they come.
+
+    Args:
+        run: Folder of the run.
+        fabrics: Whose stage.
+        pool: Trains the fabrics side by side; without it one follows the other.
+        train: Of a fabric and `arguments`, the trained stage and the record of its training; None where nothing is new.
+        name: Of the training in the model's record, before the fabric's.
+        arguments: Of `train`, after the fabric.
+    """
     if pool is None:
         found = ((fabric, train(fabric, *arguments)) for fabric in fabrics)
     else:
@@ -261,7 +260,7 @@ def _fit_fabrics(
     for fabric, result in found:
         if result is not None:
             # Read again: another run of this program may have finished another fabric meanwhile.
-            _save(run, with_fine(load_model(model_path(run)), fabric, result[0]), f"{name}-{fabric}", result[1])
+            save_stage(run, with_fine(load_model(model_path(run)), fabric, result[0]), f"{name}-{fabric}", result[1])
     return load_model(model_path(run))
 
 
@@ -291,85 +290,6 @@ def load_fine_sets(
         ]
     cloths = [load_cloth(root, s) for s in samples] if options.energy else None
     return fine_sets(samples, manifest, fabric, smooth_vertices, cloths), dataset_checksum(root, names)
-
-
-def fit_collisions(
-    run: Path,
-    fabrics: Sequence[str],
-    options: CollisionOptions,
-    root: Path | None = None,
-    pool: Executor | None = None,
-) -> TryOnModel:
-    """Fine-tune R_fine of each fabric against collisions; R_smooth and R_fine must be trained.
-
-    Args:
-        run: Folder of the run.
-        fabrics: Whose R_fine.
-        options: See `CollisionOptions`.
-        root: Folder of the dataset that `options.replay` reads; without it no simulation is read.
-        pool: Trains the fabrics side by side; without it one follows the other.
-
-    Raises:
-        ValueError: `options.replay` is no share below 1, or asked for without a dataset.
-    """
-    check_range("replay", options.replay, 0.0, 0.9)
-    if options.replay and root is None:
-        raise ValueError(f"replay = {options.replay} needs the folder of a dataset")
-    return _fit_fabrics(run, fabrics, pool, _train_collisions, "collisions", run, options, root)
-
-
-def _train_collisions(
-    fabric: str, run: Path, options: CollisionOptions, root: Path | None
-) -> tuple[Stage, dict[str, Any]] | None:
-    model = load_model(model_path(run))
-    training = store.read_record(model_path(run)).get("training", {})
-    folder = run / f"collisions-{fabric}"
-    earlier = training.get(folder.name)
-    saved = load_checkpoint(folder)
-    if earlier and saved and saved[1]["step"] == earlier["steps"] and earlier["options"] == asdict(options):
-        # Done already: measured again, its result would be its own start.
-        return None
-    task = CollisionTask(model, fabric, options)
-    pool = make_pool(model, options.pool, options.loop.seed)
-    held = make_pool(model, options.held_out, options.loop.seed + 1)
-
-    replayed: dict[str, Any] = {}
-    source = None
-    if options.replay and root is not None:
-        sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions())
-        source = BatchSource(sets, options.garments, options.shapes)
-
-    def draw(rng: np.random.Generator) -> CollisionBatch | StageBatch:
-        if source is not None and rng.random() < options.replay:
-            return source.draw(rng)
-        return draw_collisions(pool, options, model.config.beta_ranges, rng)
-
-    def evaluate(weights: StageWeights) -> float:
-        return 100 * task.inside_share(weights, held, options.loop.seed)
-
-    identity = {
-        "stage": "collisions",
-        "fabric": fabric,
-        "options": asdict(options),
-        "config": store.config_record(model.config),
-        "before": training.get(f"fine-{fabric}", {}),
-        **replayed,
-    }
-    start = StageWeights(task.start.net)
-    before = [task.inside_share(start, garments, options.loop.seed) for garments in (pool, held)]
-    loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
-    result = train_loop(start, task.loss, draw, evaluate, folder, loop, identity, folder.name)
-    after = [task.inside_share(result.params, garments, options.loop.seed) for garments in (pool, held)]
-    record = {
-        "inside_training_percent": [100 * before[0], 100 * after[0]],
-        "inside_held_out_percent": [100 * before[1], 100 * after[1]],
-        "steps": result.curve[-1]["step"],
-        "seconds": round(result.seconds),
-        "options": asdict(options),
-        **replayed,
-        **({"continues": earlier} if earlier else {}),
-    }
-    return result.params.of(task.start), record
 
 
 def fit_stage(
@@ -424,7 +344,7 @@ def fit_stage(
         "dataset": checksum,
         "parameters": count_parameters(stage),
     }
-    loop = _all_shapes_at_once(options.loop, model.config, options.shapes)
+    loop = all_shapes_at_once(options.loop, model.config, options.shapes)
     weights = StageWeights(stage.net, None if principal else stage.coefficients)
     result = train_loop(weights, loss, source.draw, evaluate, folder, loop, identity, folder.name, limits=limits)
     record = {
@@ -441,14 +361,22 @@ def fit_stage(
     return result.params.of(stage), record
 
 
-def _all_shapes_at_once(loop: LoopOptions, config: TryOnConfig, shapes: int) -> LoopOptions:
+def all_shapes_at_once(loop: LoopOptions, config: TryOnConfig, shapes: int) -> LoopOptions:
     """With fields, the network runs once for all bodies of a garment; on a CPU one garment follows the other."""
     if config.conditioning == "node" or loop.shapes_at_once is not None:
         return loop
     return replace(loop, shapes_at_once=shapes if jax.default_backend() == "cpu" else 0)
 
 
-def _save(run: Path, model: TryOnModel, name: str, result: dict[str, Any]) -> None:
+def save_stage(run: Path, model: TryOnModel, name: str, result: dict[str, Any]) -> None:
+    """Write the run's model, the record of its newest training after those that it continues.
+
+    Args:
+        run: Folder of the run.
+        model: With the trained stage.
+        name: Of the training: "smooth", "fine-<fabric>" or "collisions-<fabric>".
+        result: Its record.
+    """
     record = store.read_record(model_path(run)).get("training", {})
     earlier = record.get(name)
     record[name] = dict(result)

@@ -169,9 +169,16 @@ def apply_fields(fields: DrapeFields, betas: Float[ArrayLike, "*batch b"]) -> Fl
         fields: From `drape_fields`.
         betas: Shape coefficients of one body or of many.
     """
+    return field_stages(fields, betas)[1]
+
+
+def field_stages(
+    fields: DrapeFields, betas: Float[ArrayLike, "*batch b"]
+) -> tuple[Float[Array, "*batch M 3"], Float[Array, "*batch M 3"]]:
+    """M_smooth and M_fine of `apply_fields`; arguments as there."""
     rows, batch = _rows(None, betas, jnp.asarray(fields.smooth.fields).dtype)
-    _, fine = _evaluate(fields, rows)
-    return fine.reshape(*batch, *fine.shape[1:])
+    smooth, fine = _evaluate(fields, rows)
+    return smooth.reshape(*batch, *smooth.shape[1:]), fine.reshape(*batch, *fine.shape[1:])
 
 
 def fine_of(model: TryOnModel, fabric: str | None) -> Stage:

@@ -331,13 +331,8 @@ class Page:
         # Step back so that both bodies are seen.
         self.client.camera.position = (_BESIDE / 2, 0.2, 4.6)
         self.client.camera.look_at = (_BESIDE / 2, -0.05, 0.0)
-        session = self.model.session
         self._simulation = Simulation(
-            session.body,
-            self.result,
-            self._simulation_step,
-            self._simulation_end,
-            session if refine else None,
+            self.model.session, self.result, self._simulation_step, self._simulation_end, refine=refine
         )
 
     def _cancel_simulation(self) -> None:

@@ -5,6 +5,7 @@ The command line and the viewer are built on it. Threads may share one. Its bodi
 in `session_garments`; the steps from a garment to the dressed body are here.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import jax
@@ -14,17 +15,22 @@ from jaxtyping import Float
 from tryon_jax.checks import check_choice
 from tryon_jax.contact.push_out import CLEARANCE, push_out
 from tryon_jax.physics.fabrics import fabric_names, known_fabric, load_fabric
-from tryon_jax.tryon import TryOnModel, drape_stages, load_pretrained
+from tryon_jax.tryon import DrapeFields, TryOnModel, drape_fields, drape_stages, field_stages, load_pretrained
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.fit import measure_fit
 from tryon_jax.wear.gate import Verdict, judge
+from tryon_jax.wear.last_used import LastUsed
 from tryon_jax.wear.posing import pose_dressed
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session_bodies import Betas
 from tryon_jax.wear.session_garments import DesignLike, SessionGarments
 from tryon_jax.wear.simulate import Progress
 from tryon_jax.wear.stopwatch import Stopwatch
+
+TOGETHER = 64
+"""Bodies of one garment that are draped in one call; fewer are filled up to it, so that one program serves all."""
+_FIELDS = 16
 
 
 class Session(SessionGarments):
@@ -62,6 +68,9 @@ class Session(SessionGarments):
         """
         super().__init__(load_pretrained() if model is None else model, body, triangle_area, one_size)
         self._drape = jax.jit(drape_stages, static_argnames="fabric")
+        self._make_fields = jax.jit(drape_fields, static_argnames="fabric")
+        self._apply_fields = jax.jit(field_stages)
+        self._fields: LastUsed[DrapeFields] = LastUsed(_FIELDS)
 
     @property
     def fabrics(self) -> tuple[str, ...]:
@@ -87,19 +96,65 @@ class Session(SessionGarments):
         Raises:
             ValueError: An unknown fabric, or betas as in `shape`.
         """
+        return self.drape_many(garment, [betas], fabric=fabric, stopwatch=stopwatch)[0]
+
+    def drape_many(
+        self,
+        garment: PreparedGarment,
+        betas: Sequence[Betas],
+        *,
+        fabric: str | None = None,
+        stopwatch: Stopwatch | None = None,
+    ) -> list[DressedBody]:
+        """`drape` on many bodies: the networks see the garment once.
+
+        Args:
+            garment: From `prepare`.
+            betas: Of each body, as in `shape`.
+            fabric: One of `fabrics`; the first by default.
+            stopwatch: As in `drape`.
+
+        Raises:
+            ValueError: An unknown fabric, or betas as in `shape`.
+        """
         watch = stopwatch or Stopwatch()
         fabric = check_choice("fabric", fabric or self.fabrics[0], self.fabrics)
-        body = self.shape(betas, stopwatch=watch)
-        with watch.stage("drape"):
-            stages = self._drape(self.model, garment.garment, body.known_betas, fabric=fabric)
-            fine, smooth = (garment.garment.unpad(stage) for stage in (stages.fine, stages.smooth))
-        if self.other is not None:
-            with watch.stage("carry over"):
-                weights = self._skinning(garment)
-                fine, smooth = (
-                    self.other.transfer(stage, weights, body.known_betas, body.betas) for stage in (fine, smooth)
-                )
-        return DressedBody(body, garment, fabric, vertices=fine, smooth=smooth, fine=fine)
+        bodies = [self.shape(one, stopwatch=watch) for one in betas]
+        dressed = []
+        for first in range(0, len(bodies), TOGETHER):
+            some = bodies[first : first + TOGETHER]
+            with watch.stage("drape"):
+                smooth, fine = self._stages(garment, np.stack([body.known_betas for body in some]), fabric)
+            if self.other is not None:
+                with watch.stage("carry over"):
+                    weights, pairs = self._skinning(garment), list(enumerate(some))
+                    smooth, fine = (
+                        [self.other.transfer(stage[k], weights, b.known_betas, b.betas) for k, b in pairs]
+                        for stage in (smooth, fine)
+                    )
+            dressed += [
+                DressedBody(body, garment, fabric, vertices=fine[k], smooth=smooth[k], fine=fine[k])
+                for k, body in enumerate(some)
+            ]
+        return dressed
+
+    def _stages(
+        self, garment: PreparedGarment, betas: Float[np.ndarray, "B b"], fabric: str
+    ) -> tuple[Float[np.ndarray, "B V 3"], Float[np.ndarray, "B V 3"]]:
+        """M_smooth and M_fine on at most `TOGETHER` bodies."""
+        count = len(betas)
+        if count > 1:
+            betas = np.concatenate([betas, np.broadcast_to(betas[:1], (TOGETHER - count, betas.shape[1]))])
+        if self.model.config.conditioning == "fields":
+
+            def make() -> DrapeFields:
+                return self._make_fields(self.model, garment.garment, fabric=fabric)
+
+            smooth, fine = self._apply_fields(self._fields.get((garment, fabric), make), betas)
+        else:
+            stages = self._drape(self.model, garment.garment, betas, fabric=fabric)
+            smooth, fine = stages.smooth, stages.fine
+        return garment.garment.unpad(smooth)[:count], garment.garment.unpad(fine)[:count]
 
     def refine(
         self,

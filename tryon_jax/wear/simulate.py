@@ -32,8 +32,8 @@ TORN = 2.0
 NEARLY = 5.0
 """A drape whose residual is at most this many times the tolerance looks at rest: it is reported, and not refused."""
 
-Progress = Callable[[int, float], None]
-"""Told the steps done and the residual after each piece."""
+Progress = Callable[[int, float, np.ndarray], None]
+"""Told the steps done, the residual and the vertices (metres) after each piece; what it raises ends the simulation."""
 
 
 class NotSettled(ValueError):
@@ -207,7 +207,7 @@ class Simulator:
         mean = np.zeros(min(2, self.obstacle.body.num_betas))
         drape = dress(points, cloth, fabric, self.obstacle, self.settings, self.equilibrium, tuple(mean), PIECE)
         if progress is not None:
-            progress(PIECE, float(drape.report.residual))
+            progress(PIECE, float(drape.report.residual), drape.vertices)
         return self._run(drape, cloth, fabric, closing(self.settings), DRESSING_STEPS - PIECE, progress, PIECE)
 
     def _run(
@@ -229,7 +229,7 @@ class Simulator:
             drape = follow(drape, shape, cloth, fabric, self.obstacle, settings, piece)
             steps += int(drape.report.steps)
             if progress is not None:
-                progress(before + steps, float(drape.report.residual))
+                progress(before + steps, float(drape.report.residual), drape.vertices)
         return replace(drape, report=replace(drape.report, steps=jnp.asarray(before + steps)))
 
     def _result(self, start: np.ndarray, drape: Drape) -> Simulated:

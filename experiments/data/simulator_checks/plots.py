@@ -77,9 +77,13 @@ def _elastica(axis: Any, found: Mapping[str, Any]) -> None:
 
 def _drape(axis: Any, found: Mapping[str, Any]) -> None:
     names = [row["fabric"] for row in found["rows"]]
-    axis.barh(range(len(names)), [row["drape coefficient, %"] for row in found["rows"]])
-    axis.set_yticks(range(len(names)), names, fontsize=7)
+    columns = [name for name in found["rows"][0] if "vertices" in name]
+    for k, column in enumerate(columns):
+        values = [row[column] for row in found["rows"]]
+        axis.barh(np.arange(len(names)) + 0.27 * k, values, 0.27, label=column.removesuffix(", %"))
+    axis.set_yticks(np.arange(len(names)) + 0.27, names, fontsize=7)
     axis.set(title="drape coefficient (ISO 9073-9)", xlabel="%")
+    axis.legend(fontsize=7)
 
 
 def _cantilever(axis: Any, found: Mapping[str, Any]) -> None:
