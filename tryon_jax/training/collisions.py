@@ -46,9 +46,9 @@ class CollisionOptions:
     """Options of the collision step."""
 
     loop: LoopOptions = field(
-        default_factory=lambda: LoopOptions(steps=1500, learning_rate=3e-4, evaluate_every=250, weight_decay=0.0)
+        default_factory=lambda: LoopOptions(steps=2000, learning_rate=2e-4, evaluate_every=500, weight_decay=0.0)
     )
-    pool: int = 48
+    pool: int = 96
     """Garments of random design and topology that are trained on."""
     held_out: int = 8
     """Garments of other random designs and topologies that choose the weights."""
@@ -63,7 +63,7 @@ class CollisionOptions:
     replay: float = 0.5
     """Share of the steps that see simulated drapes in place of random ones (needs a dataset; the paper has none): so
     that R_fine keeps what it has learned from them. Their loss is the distance, in units of the margin."""
-    stretch: float = 1e4
+    stretch: float = 2e5
     """Weight of edges that are stretched beyond `most_stretch` (see `excess_stretch`), which tear on bodies and designs
     that were not simulated; 0 leaves them out, as the paper does."""
     most_stretch: float = 1.25
