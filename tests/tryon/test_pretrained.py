@@ -57,6 +57,20 @@ def test_garments_follow_the_body(model):
     assert high[:, 1].max() - low[:, 1].max() > 0.04
 
 
+def test_the_papers_form_comes_beside_it():
+    """Betas at each node, no fields, trained on the same designs; its drapes hang on the body too."""
+    rival = tj.load_pretrained("paper-form")
+    assert rival.config.conditioning == "node"
+    garment = tj.prepare(rival, "tshirt")
+    vertices = garment.unpad(tj.drape(rival, garment, jnp.array([1.0, 0.5])))
+    skin, _ = tj.shape_body(rival.body, jnp.array([1.0, 0.5]))
+    distance = np.asarray(closest_points(build_surface(skin, rival.body.faces), vertices).height)
+    assert np.median(distance) < 0.06
+    assert (distance < -0.005).mean() < 0.02
+    with pytest.raises(ValueError, match="no fields"):
+        tj.drape_fields(rival, garment)
+
+
 def test_record_tells_how_it_was_trained(model):
     from importlib import resources
 
