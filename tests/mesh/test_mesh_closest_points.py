@@ -80,8 +80,9 @@ def test_a_mesh_against_a_dense_search() -> None:
     seed=st.integers(0, 10**6),
     spread=st.sampled_from([0.0, 1.0, 2.5]),
     limit=st.sampled_from([0.0, 0.02, 0.3, np.inf]),
+    part_size=st.sampled_from([0.5, 1.0, 1.5, 10.0]),
 )
-def test_uneven_triangles_against_libigl(seed: int, spread: float, limit: float) -> None:
+def test_uneven_triangles_against_libigl(seed: int, spread: float, limit: float, part_size: float) -> None:
     """Triangles whose sizes differ up to a few hundred times; points on them, near and far."""
     rng = np.random.default_rng(seed)
     size = 0.05 * np.exp(spread * rng.normal(size=(60, 1, 1)))
@@ -91,8 +92,8 @@ def test_uneven_triangles_against_libigl(seed: int, spread: float, limit: float)
     points = np.concatenate([on, on + rng.normal(0, 0.01, on.shape), rng.uniform(-2, 2, (40, 3)), [[50.0, 0, 0]]])
     squared, _, _ = igl.point_mesh_squared_distance(points, vertices, faces)
     expected = np.sqrt(squared)
-    found = MeshSearch(vertices, faces).closest(points, limit)
-    near = expected <= limit
+    found = MeshSearch(vertices, faces, part_size).closest(points, limit)
+    near = expected < limit
     np.testing.assert_allclose(found.distance[near], expected[near], atol=1e-7)
     assert (found.distance >= expected - 1e-7).all()
     at = np.einsum("nk,nkc->nc", found.weights, vertices[faces[found.face]])
@@ -113,7 +114,7 @@ def test_parts_tile_each_triangle() -> None:
     corners = np.array(
         [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [5, 0, 0], [0, 4, 0]], [[0, 0, 1], [1, 0, 1], [0, 1, 1]]]
     )
-    centres, owner, reach = _parts(corners.astype(float))
+    centres, owner, reach = _parts(corners.astype(float), 1.0)
     np.testing.assert_array_equal(np.unique(owner, return_counts=True), [[0, 1, 2], [1, 25, 1]])
     # Centres of equal parts average to the centre of the whole, and no point of it is farther than `reach` from one.
     large = centres[owner == 1]

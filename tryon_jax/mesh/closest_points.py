@@ -39,11 +39,20 @@ class ClosestPoints(NamedTuple):
 class MeshSearch:
     """A triangle mesh prepared for closest-point queries."""
 
-    def __init__(self, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> None:
-        """Prepare a mesh of at least one triangle; open, closed, of even or uneven triangles."""
+    def __init__(
+        self, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], part_size: float = 1.0
+    ) -> None:
+        """Prepare a mesh of at least one triangle; open, closed, of even or uneven triangles.
+
+        Args:
+            vertices: Metres.
+            faces: Triangles.
+            part_size: Triangles are cut until none is larger than this many times the median one. Results are the same
+            for any, except which of several triangles is taken that are equally close up to rounding.
+        """
         self._corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
         self._triangles = Triangles(self._corners)
-        centres, self._part_of, self._reach = _parts(self._corners)
+        centres, self._part_of, self._reach = _parts(self._corners, part_size)
         self._most = self._reach.max()
         self._centres = cKDTree(centres)
 
@@ -120,16 +129,16 @@ class _Found(NamedTuple):
 
 
 def _parts(
-    corners: Float[np.ndarray, "F 3 3"],
+    corners: Float[np.ndarray, "F 3 3"], size: float
 ) -> tuple[Float[np.ndarray, "S 3"], Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
-    """Triangles cut into n² similar parts each, none much larger than the median triangle.
+    """Triangles cut into n² similar parts each, none much larger than `size` times the median triangle.
 
     Returns:
         Centres of the parts, the triangle of each, and the farthest that a point of each is from its centre, metres.
     """
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    cuts = np.clip(np.ceil(radius / max(float(np.median(radius)), 1e-300)), 1, _MOST_CUTS).astype(np.int64)
+    cuts = np.clip(np.ceil(radius / max(size * float(np.median(radius)), 1e-300)), 1, _MOST_CUTS).astype(np.int64)
     centres, owner = [], []
     for n in np.unique(cuts):
         rows = np.flatnonzero(cuts == n)
