@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from tests.graph_meshes import tube
-from tryon_jax.contact.push_out import push_out, sample_matrix
+from tryon_jax.contact.push_out import _least_move, _multipliers, push_out, sample_matrix
 from tryon_jax.contact.signed_distance import ClosedSurface
 
 
@@ -62,6 +62,21 @@ def test_what_it_tells_is_what_a_full_measurement_finds(ball):
         assert result.deepest == pytest.approx(max(0.0, -distance.min()), abs=1e-12)
         assert result.rounds <= rounds
     assert result.is_outside
+
+
+@pytest.mark.parametrize("depth", [0.001, 0.02])
+def test_looking_only_around_what_is_missing_changes_nothing(depth):
+    """A little missing, and so much that the push spreads over several rings."""
+    vertices, faces = tube(30, 24, radius=0.2)
+    samples = sample_matrix(faces, len(vertices))
+    at = samples @ vertices
+    away = at * [1, 1, 0] / np.linalg.norm(at[:, :2], axis=1)[:, None]
+    dent = np.linalg.norm(at - vertices[300], axis=1)
+    missing = depth * np.exp(-((dent / 0.02) ** 2)) - 0.0005
+    multiplier, pushed = _multipliers(samples, away, missing)
+    assert 0 < pushed.sum() < 0.5 * len(pushed)
+    expected = samples.T @ (multiplier[:, None] * away)
+    np.testing.assert_allclose(_least_move(samples, away, missing), expected, atol=1e-15)
 
 
 def test_flat_body_gives_the_exact_least_displacement():

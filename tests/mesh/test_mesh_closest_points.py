@@ -1,21 +1,24 @@
 """Closest points on triangles and meshes, against other implementations and by hand."""
 
+import igl
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import trimesh
 from graph_meshes import tube
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tryon_jax.contact.closest_points import closest_point_on_triangle
+from tryon_jax.mesh import closest_points
 from tryon_jax.mesh.closest_points import MeshSearch, _parts
 from tryon_jax.mesh.triangles import Triangles
 
 
 def weights_on(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Weights of the closest point of triangle k to point k."""
-    _, v, w = Triangles(triangles).closest(points, np.arange(len(points))[:, None])
-    return np.concatenate([1 - v - w, v, w], axis=1)
+    _, v, w = Triangles(triangles).closest(points, np.arange(len(points)))
+    return np.stack([1 - v - w, v, w], axis=1)
 
 
 @given(seed=st.integers(0, 10**6), flatness=st.sampled_from([1.0, 0.1, 1e-3]))
@@ -73,11 +76,45 @@ def test_a_mesh_against_a_dense_search() -> None:
     np.testing.assert_allclose(found.position, at, atol=1e-12)
 
 
+@given(
+    seed=st.integers(0, 10**6),
+    spread=st.sampled_from([0.0, 1.0, 2.5]),
+    limit=st.sampled_from([0.0, 0.02, 0.3, np.inf]),
+    part_size=st.sampled_from([0.5, 1.0, 1.5, 10.0]),
+)
+def test_uneven_triangles_against_libigl(seed: int, spread: float, limit: float, part_size: float) -> None:
+    """Triangles whose sizes differ up to a few hundred times; points on them, near and far."""
+    rng = np.random.default_rng(seed)
+    size = 0.05 * np.exp(spread * rng.normal(size=(60, 1, 1)))
+    corners = rng.uniform(-1, 1, (60, 1, 3)) + size * rng.normal(size=(60, 3, 3))
+    vertices, faces = corners.reshape(-1, 3), np.arange(180).reshape(-1, 3)
+    on = np.einsum("pk,pkc->pc", rng.dirichlet(np.ones(3), 60), corners)
+    points = np.concatenate([on, on + rng.normal(0, 0.01, on.shape), rng.uniform(-2, 2, (40, 3)), [[50.0, 0, 0]]])
+    squared, _, _ = igl.point_mesh_squared_distance(points, vertices, faces)
+    expected = np.sqrt(squared)
+    found = MeshSearch(vertices, faces, part_size).closest(points, limit)
+    near = expected < limit
+    np.testing.assert_allclose(found.distance[near], expected[near], atol=1e-7)
+    assert (found.distance >= expected - 1e-7).all()
+    at = np.einsum("nk,nkc->nc", found.weights, vertices[faces[found.face]])
+    np.testing.assert_allclose(np.linalg.norm(points - at, axis=1), found.distance, atol=1e-12)
+
+
+def test_pairs_in_small_blocks_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    vertices, faces = tube(8, 9)
+    points = np.random.default_rng(2).uniform(-0.35, 0.35, (200, 3))
+    expected = MeshSearch(vertices, faces).closest(points)
+    monkeypatch.setattr(closest_points, "_PAIRS", 50)
+    found = MeshSearch(vertices, faces).closest(points)
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_parts_tile_each_triangle() -> None:
     corners = np.array(
         [[[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [5, 0, 0], [0, 4, 0]], [[0, 0, 1], [1, 0, 1], [0, 1, 1]]]
     )
-    centres, owner, reach = _parts(corners.astype(float))
+    centres, owner, reach = _parts(corners.astype(float), 1.0)
     np.testing.assert_array_equal(np.unique(owner, return_counts=True), [[0, 1, 2], [1, 25, 1]])
     # Centres of equal parts average to the centre of the whole, and no point of it is farther than `reach` from one.
     large = centres[owner == 1]

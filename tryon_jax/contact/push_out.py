@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from tryon_jax.checks import check_finite, check_range
 from tryon_jax.contact.signed_distance import ClosedSurface
@@ -22,6 +22,8 @@ CLEARANCE = 0.002
 _NEAR = 0.006
 """Samples that are farther from where they should be than this take no part in a round, metres."""
 _INNER_STEPS = 60
+# Rings of samples round what is missing that a step looks at first.
+_RINGS = 3
 
 
 @dataclass(frozen=True)
@@ -115,14 +117,37 @@ def push_out(
 def _least_move(
     samples: sp.csr_array, away: Float[np.ndarray, "S 3"], missing: Float[np.ndarray, " S"]
 ) -> Float[np.ndarray, "V 3"]:
-    """Displacement x of least norm with away · (samples x) ≥ missing, by projected ascent on the multipliers."""
+    """Displacement x of least norm with away · (samples x) ≥ missing, by projected ascent on the multipliers.
+
+    A multiplier stays zero where nothing is missing and those of all samples that share a vertex are zero. So only the
+    samples around what is missing are looked at, and the result is that of all of them as long as the outermost ring
+    is never pushed; where it is, more are taken.
+    """
+    reached, rings = missing > 0, _RINGS
+    while True:
+        inner = reached
+        for _ in range(rings):
+            inner = reached
+            reached = samples @ (samples.T @ inner.astype(np.float64)) > 0
+        rows = np.flatnonzero(reached)
+        local = samples[rows]
+        multiplier, pushed = _multipliers(local, away[rows], missing[rows])
+        if not (pushed & ~inner[rows]).any():
+            return local.T @ (multiplier[:, None] * away[rows])
+        rings *= 2
+
+
+def _multipliers(
+    samples: sp.csr_array, away: Float[np.ndarray, "S 3"], missing: Float[np.ndarray, " S"]
+) -> tuple[Float[np.ndarray, " S"], Bool[np.ndarray, " S"]]:
+    """The multipliers of all these samples, and which of them were positive at any step."""
     pairs = (samples @ samples.T).tocsr()
     cosines = pairs.tocoo()
     weight = cosines.data * np.einsum("sc,sc->s", away[cosines.coords[0]], away[cosines.coords[1]])
     gram = sp.coo_array((weight, cosines.coords), shape=pairs.shape).tocsr()
     # Scaling by absolute row sums bounds the spectrum by 1, so that plain ascent converges.
     step = 1.0 / np.maximum(abs(gram).sum(axis=1), 1e-12)
-    multiplier = np.zeros(len(missing))
+    multiplier, pushed = np.zeros(len(missing)), np.zeros(len(missing), bool)
     previous, momentum = multiplier, 1.0
     for _ in range(_INNER_STEPS):
         # Nesterov's extrapolation, restarted by the projection where a constraint becomes inactive.
@@ -130,4 +155,5 @@ def _least_move(
         ahead = multiplier + (momentum - 1.0) / following * (multiplier - previous)
         previous, momentum = multiplier, following
         multiplier = np.maximum(ahead + step * (missing - gram @ ahead), 0.0)
-    return samples.T @ (multiplier[:, None] * away)
+        pushed |= multiplier > 0
+    return multiplier, pushed

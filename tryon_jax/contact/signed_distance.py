@@ -15,6 +15,8 @@ from tryon_jax.mesh.topology import directed_edges, edge_keys
 
 # Barycentric weights below this are zero: the closest point is on an edge or a vertex.
 _ZERO = 1e-9
+# The triangles of a body differ much in size: coarser parts are fewer to search, and as good a bound.
+_PART_SIZE = 1.5
 
 
 class SignedDistances(NamedTuple):
@@ -68,7 +70,7 @@ class ClosedSurface:
         self._face_normals, self._vertex_normals = normal, at_vertex
         # Half-edge k of a face runs from corner k to corner k + 1.
         self._edge_normals = edge[inverse].reshape(3, len(self.faces), 3).swapaxes(0, 1)
-        self._search = MeshSearch(self.vertices, self.faces)
+        self._search = MeshSearch(self.vertices, self.faces, _PART_SIZE)
 
     def closest(self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf) -> SignedDistances:
         """Signed distance and closest point of each point.

@@ -1,8 +1,8 @@
 """Closest points on any triangle mesh, exact (host side, float64).
 
-Triangles are cut into similar parts of about one size. The closest triangle is found among those of the parts with the
-closest centres. A bound says for which points a part with a farther centre could still be closer; for those the search
-is widened until none can.
+Triangles are cut into similar parts of about one size. No point of a part is farther from its centre than the part's
+reach. So every part that may hold the closest point has its centre within an upper bound of the distance and the
+largest reach; a search in both trees at once, of points and of centres, finds all such pairs.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,12 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.mesh.triangles import Triangles
 
-_FIRST, _CHUNK = 8, 100_000
+# Pairs of a point and a part that are held at a time, about.
+_PAIRS = 1_000_000
+# Points whose neighbours are counted to guess how many pairs there will be.
+_PROBES = 64
+# Points are searched together when their radii differ by less than this factor.
+_SIMILAR = 1.25
 # Parts along an edge into which a triangle is cut at most.
 _MOST_CUTS = 16
 
@@ -34,11 +39,20 @@ class ClosestPoints(NamedTuple):
 class MeshSearch:
     """A triangle mesh prepared for closest-point queries."""
 
-    def __init__(self, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> None:
-        """Prepare a mesh of at least one triangle; open, closed, of even or uneven triangles."""
+    def __init__(
+        self, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], part_size: float = 1.0
+    ) -> None:
+        """Prepare a mesh of at least one triangle; open, closed, of even or uneven triangles.
+
+        Args:
+            vertices: Metres.
+            faces: Triangles.
+            part_size: Triangles are cut until none is larger than this many times the median one. Results are the same
+            for any, except which of several triangles is taken that are equally close up to rounding.
+        """
         self._corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
         self._triangles = Triangles(self._corners)
-        centres, self._part_of, self._reach = _parts(self._corners)
+        centres, self._part_of, self._reach = _parts(self._corners, part_size)
         self._most = self._reach.max()
         self._centres = cKDTree(centres)
 
@@ -51,67 +65,80 @@ class MeshSearch:
             upper bounds.
         """
         points = np.asarray(points, np.float64)
-        distance = np.full(len(points), np.inf)
-        face = np.zeros(len(points), np.int64)
-        weights = np.zeros((len(points), 3))
-        # Where even the closest centre is farther than that, a rough answer will do.
-        first, part = self._centres.query(points, k=1)
-        self._try(points, np.arange(len(points)), first[:, None], part[:, None], distance, face, weights)
-        open_rows = np.flatnonzero((first - self._most < exact_below) & (exact_below > 0))
-        count = min(_FIRST, len(self._part_of))
-        while len(open_rows):
-            # Where the closest centre is farther than bound + reach, so is every triangle.
-            limit = np.full(len(open_rows), np.inf)
-            for start in range(0, len(open_rows), max(_CHUNK // count, 1)):
-                chunk = slice(start, start + max(_CHUNK // count, 1))
-                rows = open_rows[chunk]
-                far, candidates = self._centres.query(points[rows], k=count)
-                far, candidates = far.reshape(len(rows), -1), candidates.reshape(len(rows), -1)
-                self._try(points, rows, far, candidates, distance, face, weights)
-                limit[chunk] = far[:, -1] - self._most
-            if count == len(self._part_of):
-                break
-            open_rows = open_rows[(distance[open_rows] > limit) & (limit < exact_below)]
-            count = min(4 * count, len(self._part_of))
-        position = np.einsum("pk,pkc->pc", weights, self._corners[face])
-        return ClosestPoints(np.linalg.norm(points - position, axis=1), face, weights, position)
+        found = _Found(np.full(len(points), np.inf), np.zeros(len(points), np.int64), np.zeros((len(points), 3)))
+        # For points close to the mesh one radius does for all.
+        close = min(exact_below, self._most)
+        if close > 0:
+            self._search(points, np.arange(len(points)), close, found)
+        rows = np.flatnonzero(found.distance > close)
+        first, part = self._centres.query(points[rows], k=1)
+        self._try(points, rows, self._part_of[part], first, found)
+        if exact_below > close:
+            # Each has an upper bound now; where even the closest centre is farther, a rough answer will do.
+            rows = rows[first - self._most < exact_below]
+            bound = np.minimum(found.distance[rows], exact_below)
+            order = np.argsort(bound)
+            rows, bound = rows[order], bound[order]
+            start = 0
+            while start < len(rows):
+                end = int(np.searchsorted(bound, _SIMILAR * bound[start], side="right"))
+                self._search(points, rows[start:end], bound[end - 1], found)
+                start = end
+        position = np.einsum("pk,pkc->pc", found.weights, self._corners[found.face])
+        return ClosestPoints(np.linalg.norm(points - position, axis=1), found.face, found.weights, position)
 
-    def _try(
-        self,
-        points: np.ndarray,
-        rows: np.ndarray,
-        far: np.ndarray,
-        candidates: np.ndarray,
-        distance: np.ndarray,
-        face: np.ndarray,
-        weights: np.ndarray,
-    ) -> None:
-        """Take the closest triangle of the candidate parts of each row where it is closer than what is known."""
-        # No point of a part is closer than its centre less its reach: most candidates are ruled out by that.
-        row, column = np.nonzero(far - self._reach[candidates] < distance[rows, None])
-        faces = self._part_of[candidates[row, column]]
-        squared, v, w = (a[:, 0] for a in self._triangles.closest(points[rows[row]], faces[:, None]))
-        found = np.sqrt(squared)
-        # The first of the closest in each row.
-        order = np.lexsort((found, row))
-        taken = order[np.r_[True, row[1:] != row[:-1]]] if len(row) else order
-        taken = taken[found[taken] < distance[rows[row[taken]]]]
-        at = rows[row[taken]]
-        distance[at], face[at] = found[taken], faces[taken]
-        weights[at] = np.stack([1 - v[taken] - w[taken], v[taken], w[taken]], axis=1)
+    def _search(self, points: np.ndarray, rows: np.ndarray, limit: float, found: "_Found") -> None:
+        """Make distances up to `limit` exact."""
+        radius = limit + self._most
+        probes = points[rows[:: max(len(rows) // _PROBES, 1)]]
+        pairs = self._centres.query_ball_point(probes, radius, return_length=True).mean()
+        block = max(int(_PAIRS / max(pairs, 1.0)), 1)
+        for start in range(0, len(rows), block):
+            here = rows[start : start + block]
+            tree = cKDTree(points[here], balanced_tree=False, compact_nodes=False)
+            near = tree.sparse_distance_matrix(self._centres, radius, output_type="ndarray")
+            row, part, far = here[near["i"]], near["j"], near["v"]
+            # The triangle of the closest centre is close to the closest triangle.
+            closest = np.full(len(points), np.inf)
+            np.minimum.at(closest, row, far)
+            first = far == closest[row]
+            self._try(points, row[first], self._part_of[part[first]], far[first], found)
+            left = far - self._reach[part] < np.minimum(found.distance, limit)[row]
+            self._try(points, row[left], self._part_of[part[left]], far[left], found)
+
+    def _try(self, points: np.ndarray, row: np.ndarray, face: np.ndarray, far: np.ndarray, found: "_Found") -> None:
+        """Take the triangle `face` for the point `row`, for each such pair, where it is closer than what is known."""
+        squared, v, w = self._triangles.closest(points[row], face)
+        distance = np.sqrt(squared)
+        closer = np.flatnonzero(distance < found.distance[row])
+        np.minimum.at(found.distance, row[closer], distance[closer])
+        closer = closer[distance[closer] == found.distance[row[closer]]]
+        # Of several that are equally close the one with the closest centre is written last, and stays.
+        closer = closer[np.argsort(-far[closer], kind="stable")]
+        at = row[closer]
+        found.face[at] = face[closer]
+        found.weights[at] = np.stack([1 - v[closer] - w[closer], v[closer], w[closer]], axis=1)
+
+
+class _Found(NamedTuple):
+    """The closest that is known of each point so far; its arrays are written to."""
+
+    distance: Float[np.ndarray, " P"]
+    face: Int[np.ndarray, " P"]
+    weights: Float[np.ndarray, "P 3"]
 
 
 def _parts(
-    corners: Float[np.ndarray, "F 3 3"],
+    corners: Float[np.ndarray, "F 3 3"], size: float
 ) -> tuple[Float[np.ndarray, "S 3"], Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
-    """Triangles cut into n² similar parts each, none much larger than the median triangle.
+    """Triangles cut into n² similar parts each, none much larger than `size` times the median triangle.
 
     Returns:
         Centres of the parts, the triangle of each, and the farthest that a point of each is from its centre, metres.
     """
     middle = corners.mean(axis=1)
     radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1)
-    cuts = np.clip(np.ceil(radius / max(float(np.median(radius)), 1e-300)), 1, _MOST_CUTS).astype(np.int64)
+    cuts = np.clip(np.ceil(radius / max(size * float(np.median(radius)), 1e-300)), 1, _MOST_CUTS).astype(np.int64)
     centres, owner = [], []
     for n in np.unique(cuts):
         rows = np.flatnonzero(cuts == n)

@@ -84,8 +84,8 @@ def find_pairs(
     vertex, face = vertex[keep], face[keep]
 
     a, b, c = (corners[face, k] for k in range(3))
-    _, v, w = Triangles(corners).closest(points[vertex], face[:, None])
-    weights = np.concatenate([1 - v - w, v, w], axis=1)
+    _, v, w = Triangles(corners).closest(points[vertex], face)
+    weights = np.stack([1 - v - w, v, w], axis=1)
     offset = points[vertex] - np.einsum("pk,pkc->pc", weights, corners[face])
     distance = np.linalg.norm(offset, axis=1)
     inside = distance < settings.reach
