@@ -77,6 +77,8 @@ def provide(given: dict[str, str]) -> None:
             shutil.copy(weights, given["--weights"])
     if "--garment" in given:
         write_mesh(given["--garment"], [mesh_part("garment", *load_example("own_garment").tube_dress(12, 24))])
+    if "--sizes" in given:
+        Path(given["--sizes"]).write_text("name,design,garment_chest\nS,tshirt,0.94\nM,tshirt,1.02\n", encoding="utf-8")
     if "--smpl" in given:
         body = load_body("female")
         np.savez(

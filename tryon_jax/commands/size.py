@@ -16,6 +16,7 @@ from tryon_jax.files.atomic import check_target
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.render.image import check_picture_path
 from tryon_jax.render.mannequin import mannequin_colors
+from tryon_jax.render.picture import check_height
 from tryon_jax.tryon import load_model, load_pretrained
 from tryon_jax.wear.gate import judge_betas
 from tryon_jax.wear.session import Session
@@ -35,6 +36,8 @@ class Config:
     """Fabric, such as gray-interlock; the model's first when not given."""
     picture: Path | None = None
     """Picture of every size on the body: .png, .jpg or .webp."""
+    height: int = 420
+    """Height of one body in the picture, pixels."""
     weights: Path | None = None
     """File of learned parameters in place of those that come with the package."""
 
@@ -45,6 +48,7 @@ def main(config: Config) -> None:
     requests = read_requests(config.sizes, SIZE_COLUMNS)
     if config.picture is not None:
         check_picture_path(config.picture)
+        check_height(config.height)
         check_target(config.picture)
     with clock.stage("weights"):
         model = load_pretrained() if config.weights is None else load_model(check_file("--weights", config.weights))
@@ -76,7 +80,7 @@ def main(config: Config) -> None:
                 )
                 for size in sizes
             ]
-            contact_sheet(config.picture, items, columns=len(items))
+            contact_sheet(config.picture, items, columns=len(items), height=config.height)
         lines.append(f"wrote    {config.picture}")
     say(*lines, clock)
 

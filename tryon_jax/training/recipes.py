@@ -362,7 +362,16 @@ def fit_stage(
 
 
 def all_shapes_at_once(loop: LoopOptions, config: TryOnConfig, shapes: int) -> LoopOptions:
-    """With fields, the network runs once for all bodies of a garment; on a CPU one garment follows the other."""
+    """With fields, the network runs once for all bodies of a garment; on a CPU one garment follows the other.
+
+    Args:
+        loop: Options of the training.
+        config: Of the model.
+        shapes: Bodies of each garment in a batch.
+
+    Returns:
+        The options with `shapes_at_once` set where it was left open.
+    """
     if config.conditioning == "node" or loop.shapes_at_once is not None:
         return loop
     return replace(loop, shapes_at_once=shapes if jax.default_backend() == "cpu" else 0)

@@ -78,7 +78,8 @@ def _minimise(residuals: Callable[..., Array], start: Array, args: object, most:
     import optimistix as optx
 
     solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-3)
-    solution = optx.least_squares(residuals, solver, start, args=args, max_steps=most, throw=False)
+    # Not as its `args`, whose leaves it replaces by others for a while: no shape would be right then.
+    solution = optx.least_squares(lambda units, _: residuals(units, args), solver, start, max_steps=most, throw=False)
     final = residuals(solution.value, args)
     return solution.value, solution.stats["num_steps"], jnp.sqrt((final * final).mean())
 
