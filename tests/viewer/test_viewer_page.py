@@ -15,9 +15,9 @@ from PIL import Image
 
 from tests.belt import snug_belt
 from tests.flat_model import flat_model
-from tryon_jax.viewer import serve, simulation
+from tryon_jax.viewer import serve
 from tryon_jax.viewer.upload import MAX_BYTES
-from tryon_jax.wear import session
+from tryon_jax.wear import session, simulate
 from tryon_jax.wear.gate import Verdict
 
 pytestmark = [pytest.mark.browser, pytest.mark.skipif(PROGRAM is None, reason="no Chromium on this machine")]
@@ -152,14 +152,14 @@ def test_two_visitors_have_their_own_state(url, page):
 @pytest.mark.slow
 def test_a_simulation_runs_beside_and_can_be_cancelled(page, monkeypatch):
     # A garment this small may be at rest before a busy browser shows the button: it is held until that is pressed.
-    pressed, dress = threading.Event(), simulation.dress
+    pressed, dress = threading.Event(), simulate.dress
 
     def held(*arguments, **options):
         drape = dress(*arguments, **options)
         assert pressed.wait(300)
         return drape
 
-    monkeypatch.setattr(simulation, "dress", held)
+    monkeypatch.setattr(simulate, "dress", held)
     page.click("Compare with a simulation")
     page.wait(lambda: "simulate this garment" in page.text(), "the folder to open")
     page.click("simulate this garment")
