@@ -142,7 +142,9 @@ def tailor(
         return _sitting(session, target, learned, refine, watch), lengths
 
     result, lengths = sit(start)
-    held = np.where(_freed(lengths, weights), _FREE, _HELD).astype(np.float32)
+    on_mean = session.drape(result.dressed.garment, (), fabric=fabric, stopwatch=watch)
+    freed = _freed(_Lengths.of(session, on_mean, unknowns), weights)
+    held = np.where(freed, _FREE, _HELD).astype(np.float32)
     best, first = result, lengths.units
     for k in range(rounds):
         if _near_enough(result):
@@ -242,8 +244,13 @@ def _residuals(units: Float[Array, " U"], problem: Any) -> Float[Array, " R"]:
 
 
 def _freed(lengths: _Lengths, weights: Float[np.ndarray, " L"]) -> Bool[np.ndarray, " U"]:
-    """The parameters that move the lengths asked for most, one for each."""
-    slope = np.abs(np.asarray(_slope(lengths)))
+    """The parameters that move the lengths asked for most, metre for metre, one for each.
+
+    Args:
+        lengths: On the mean body: on some others a tape cuts the sleeves as well.
+        weights: 1 for each length that is asked for.
+    """
+    slope = np.abs(np.asarray(_slope(lengths)) / np.asarray(lengths.unknowns.scale))
     freed = np.zeros(slope.shape[1], bool)
     freed[slope[weights > 0].argmax(axis=1)] = True
     return freed
