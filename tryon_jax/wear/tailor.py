@@ -145,7 +145,7 @@ def tailor(
     on_mean = session.drape(result.dressed.garment, (), fabric=fabric, stopwatch=watch)
     freed = _freed(_Lengths.of(session, on_mean, unknowns), weights)
     held = np.where(freed, _FREE, _HELD).astype(np.float32)
-    best, first = result, lengths.units
+    first = lengths.units
     for k in range(rounds):
         if _near_enough(result):
             break
@@ -160,11 +160,13 @@ def tailor(
             break
         expected = lengths.held(units) + offset + correction @ step
         values = np.clip(np.asarray(unknowns.values(units), float), session.space.minimum, session.space.maximum)
-        result, lengths = sit(session.space.from_values(values))
-        off = _lengths_of(result, body, expected) - expected
+        trial, trial_lengths = sit(session.space.from_values(values))
+        off = _lengths_of(trial, body, expected) - expected
         correction += np.outer(off, step) / (step @ step)
-        best = min(best, replace(result, rounds=k + 1), key=_cost)
-    return best
+        # A round that got worse has told something of the derivative; the next begins where the last good one did.
+        if _cost(trial) < _cost(result):
+            result, lengths = replace(trial, rounds=k + 1), trial_lengths
+    return result
 
 
 def sitting(dressed: DressedBody, session: Session, target: FitTarget) -> dict[str, float | None]:
