@@ -1,10 +1,10 @@
 """Made to measure: the design whose drape on one body has the ease and the hem that are asked for.
 
 Each length that is asked for frees the design parameter that moves it most; the others stay as they were. In each round
-Levenberg-Marquardt finds the design through the differentiable mean drape M̄, with the displacement from it held, which
-costs a hundredth of a derivative through the networks. The garment is then cut anew, draped, pushed out of the body
-and, where asked, brought to rest by the simulator. What its exact lengths are off corrects the next round: Broyden's
-rank-one update (Broyden 1965) of the derivative that was left out.
+Levenberg-Marquardt finds the design through the differentiable mean drape M̄, with the displacement from it held: a
+derivative through the networks would take far longer to compile. The garment is then cut anew, draped, pushed out of
+the body and, where asked, brought to rest by the simulator. Broyden's rank-one update (Broyden 1965) turns what its
+exact lengths are off into a correction of the derivative for the next round.
 """
 
 from collections.abc import Mapping
@@ -139,7 +139,7 @@ def tailor(
         learned = session.drape(garment, betas, fabric=fabric, stopwatch=watch)
         with watch.stage("solve"):
             lengths = _Lengths.of(session, learned, unknowns)
-        return _sitting(session, target, learned, refine, watch), lengths
+        return _measured(session, target, learned, refine, watch), lengths
 
     result, lengths = sit(start)
     on_mean = session.drape(result.dressed.garment, (), fabric=fabric, stopwatch=watch)
@@ -189,7 +189,7 @@ def sitting(dressed: DressedBody, session: Session, target: FitTarget) -> dict[s
     return found
 
 
-def _sitting(session: Session, target: FitTarget, learned: DressedBody, refine: bool, watch: Stopwatch) -> Tailored:
+def _measured(session: Session, target: FitTarget, learned: DressedBody, refine: bool, watch: Stopwatch) -> Tailored:
     dressed = session.judge(session.push_out(learned, stopwatch=watch), stopwatch=watch)
     refined = simulated = None
     if refine:
