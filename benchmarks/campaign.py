@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import cKDTree
 
 from benchmarks.record import RESULTS, write_record
 from measuring.records import environment, slug, table
@@ -173,17 +172,12 @@ def largest_stretch(dressed: DressedBody) -> float:
 
 
 def inside_body(
-    points: Float[np.ndarray, "V 3"], skin: Float[np.ndarray, "B 3"], faces: Int[np.ndarray, "G 3"], near: float = 0.02
+    points: Float[np.ndarray, "V 3"], skin: Float[np.ndarray, "B 3"], faces: Int[np.ndarray, "G 3"]
 ) -> Bool[np.ndarray, " V"]:
-    """Which points are inside a closed surface, by winding numbers; those farther than `near` metres are not asked."""
-    inside = np.zeros(len(points), bool)
-    asked = np.flatnonzero(cKDTree(skin).query(points)[0] < near)
-    corners = np.asarray(skin, np.float64)[faces]
-    for rows in np.array_split(asked, max(1, len(asked) // 64)):
-        a, b, c = (corners[None, :, k] - points[rows, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-        above = np.einsum("pfc,pfc->pf", a, np.cross(b, c))
-        dots = [np.einsum("pfc,pfc->pf", u, v) for u, v in ((a, b), (b, c), (c, a))]
-        below = la * lb * lc + dots[0] * lc + dots[1] * la + dots[2] * lb
-        inside[rows] = np.arctan2(above, below).sum(axis=1) / (2 * np.pi) > 0.5
-    return inside
+    """Which points are inside a closed surface, by libigl's winding numbers."""
+    try:
+        from igl import winding_number
+    except ImportError:
+        raise ModuleNotFoundError("the campaign needs libigl: pip install 'tryon_jax[benchmarks]'") from None
+    corners = np.asarray(skin, np.float64)
+    return np.asarray(winding_number(corners, faces.astype(np.int64), points.astype(np.float64))) > 0.5

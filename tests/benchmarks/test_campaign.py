@@ -22,7 +22,7 @@ def test_winding_numbers_tell_inside_from_outside() -> None:
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     skin, faces = np.asarray(ball.v_template), np.asarray(ball.faces)
     for share, wanted in ((0.97, True), (1.03, False)):
-        assert (inside_body(share * RADIUS * ways, skin, faces, near=0.1) == wanted).all()
+        assert (inside_body(share * RADIUS * ways, skin, faces) == wanted).all()
 
 
 def test_a_case_is_the_same_however_many_there_are() -> None:
