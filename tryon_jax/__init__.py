@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from tryon_jax.contact.signed_distance import ClosedSurface
     from tryon_jax.garment import DesignSpace, load_design_space, remesh
     from tryon_jax.nets.config import TryOnConfig
+    from tryon_jax.physics.fabric_numbers import fabric_numbers
+    from tryon_jax.physics.fabrics import load_fabric
     from tryon_jax.tryon import (
         DrapeFields,
         Garment,
@@ -57,10 +59,12 @@ __all__ = [
     "drape",
     "drape_fields",
     "drape_stages",
+    "fabric_numbers",
     "face_normals",
     "init_model",
     "load_body",
     "load_design_space",
+    "load_fabric",
     "load_model",
     "load_pretrained",
     "load_smpl",
@@ -95,10 +99,12 @@ _HOMES = {
     "drape": "tryon_jax.tryon",
     "drape_fields": "tryon_jax.tryon",
     "drape_stages": "tryon_jax.tryon",
+    "fabric_numbers": "tryon_jax.physics.fabric_numbers",
     "face_normals": "tryon_jax.body",
     "init_model": "tryon_jax.tryon",
     "load_body": "tryon_jax.body",
     "load_design_space": "tryon_jax.garment",
+    "load_fabric": "tryon_jax.physics.fabrics",
     "load_model": "tryon_jax.tryon",
     "load_pretrained": "tryon_jax.tryon",
     "load_smpl": "tryon_jax.body",

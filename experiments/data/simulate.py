@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from tryon_jax.checks import check_range
+from tryon_jax.checks import check_choice, check_range
 from tryon_jax.files.atomic import write_text
 from tryon_jax.files.pool import checksums, open_pool, run_all
 from tryon_jax.garment.manifest import load_manifest
+from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.training.dataset import DatasetConfig, default_root, open_dataset, remove_leftovers
 from tryon_jax.training.generate import run_batch
 from tryon_jax.training.plan import batches, garment_names, plan
@@ -33,6 +34,8 @@ class Config:
     part: Literal["training", "additional", "unseen", "topologies"] = "training"
     """training: the 19 training designs in both topologies; additional: further training designs in one; unseen: the
     6 unseen designs; topologies: 7 unseen topologies of one training design."""
+    fabrics: tuple[str, ...] = DatasetConfig.fabrics
+    """Fabrics, embedded ones by name or `all`."""
     topology_design: str = "tshirt"
     """Design of `--part topologies`."""
     convention: Literal["reference", "dressed"] = "reference"
@@ -51,6 +54,20 @@ class Config:
     they must see the folder at the same path. Samples and checksums do not depend on who simulates them."""
 
 
+def chosen_fabrics(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The fabrics that the option asks for, each once.
+
+    Raises:
+        ValueError: There is no such fabric, or none is named.
+    """
+    if not names:
+        raise ValueError("fabrics: name at least one, or all")
+    known = fabric_names()
+    if names == ("all",):
+        return known
+    return tuple(dict.fromkeys(check_choice("fabric", name, known) for name in names))
+
+
 def main(config: Config) -> None:
     """Run all tasks whose files are missing."""
     most = 2 if config.betas == 1 else 25
@@ -65,6 +82,7 @@ def main(config: Config) -> None:
         designs, seeds, target_area = [training[0], training[4]], manifest.training_seeds[:1], 6e-4
     dataset = DatasetConfig(
         num_betas=config.betas,
+        fabrics=chosen_fabrics(config.fabrics),
         target_area=target_area,
         dense_vertices=config.dense_vertices,
         convention=config.convention,

@@ -36,15 +36,16 @@ class Config:
 
 def stage_bytes(config: TryOnConfig) -> int:
     """Bytes of the graph U-Nets of R_smooth and one R_fine in float32; nothing is allocated."""
-    parts = ((config.smooth, config.smooth_features), (config.fine, config.fine_features))
+    parts = (
+        (config.smooth, config.smooth_features, config.smooth_outputs),
+        (config.fine, config.fine_features, config.fine_outputs),
+    )
     key = jax.random.key(0)
     # Shapes of leaves alone leave the traced function: modules made of anything but arrays are none.
     leaves = [
         leaf
-        for net, features in parts
-        for leaf in jax.eval_shape(
-            lambda k, n=net, f=features: jax.tree.leaves(init_unet(k, n, f, config.outputs)), key
-        )
+        for net, features, outputs in parts
+        for leaf in jax.eval_shape(lambda k, n=net, f=features, o=outputs: jax.tree.leaves(init_unet(k, n, f, o)), key)
     ]
     return _FLOAT * sum(math.prod(leaf.shape) for leaf in leaves)
 

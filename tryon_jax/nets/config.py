@@ -7,6 +7,7 @@ from tryon_jax.checks import check_choice
 from tryon_jax.graph.build import NUM_LEVELS
 from tryon_jax.graph.laplacian import Normalisation
 from tryon_jax.graph.pooling import Pooling
+from tryon_jax.nets.fabric_functions import field_pairs
 from tryon_jax.nets.unet import UNetConfig
 
 Reference = Literal["smoothed", "paper"]
@@ -38,7 +39,12 @@ class TryOnConfig:
     num_joints: int = 24
     """Skinning weights per node."""
     fabrics: tuple[str, ...] = ("gray-interlock",)
-    """One R_fine each."""
+    """One R_fine each, or those that one R_fine of all fabrics was trained on."""
+    fabric_functions: int = 0
+    """Functions J of a fabric's numbers, with which one R_fine serves every fabric (needs `conditioning="fields"`); 0:
+    one R_fine for each fabric, as in the paper."""
+    fabric_numbers: int = 4
+    """Numbers F of a fabric that those functions see."""
     conditioning: Conditioning = "fields"
     """How the body's shape enters. fields: the networks see the garment alone and predict displacement fields; a
     perceptron of the betas weights their sum, so that a new body costs one product. node: the betas are features of
@@ -100,9 +106,19 @@ class TryOnConfig:
         return self.position_features + betas + 3 * self.fine_detail
 
     @property
-    def outputs(self) -> int:
-        """What each network predicts at a node: a displacement, or one for each field."""
+    def smooth_outputs(self) -> int:
+        """What R_smooth predicts at a node: a displacement, or one for each field."""
         return 3 * (self.fields if self.conditioning == "fields" else 1)
+
+    @property
+    def fine_outputs(self) -> int:
+        """What R_fine predicts at a node: as R_smooth, or a displacement for each of `field_pairs`."""
+        return 3 * len(self.field_pairs) if self.fabric_functions else self.smooth_outputs
+
+    @property
+    def field_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Body coefficient and fabric function of each field of an R_fine of all fabrics."""
+        return field_pairs(self.fields, self.fabric_functions)
 
 
 def paper_form(config: TryOnConfig) -> TryOnConfig:

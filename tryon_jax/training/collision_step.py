@@ -10,6 +10,7 @@ import numpy as np
 
 from tryon_jax.checks import check_range
 from tryon_jax.nets import store
+from tryon_jax.training.all_fabrics import load_all_fabrics
 from tryon_jax.training.checkpoint import load_checkpoint
 from tryon_jax.training.collisions import CollisionBatch, CollisionOptions, CollisionTask, draw_collisions, make_pool
 from tryon_jax.training.loop import train_loop
@@ -30,6 +31,7 @@ def fit_collisions(
     options: CollisionOptions,
     root: Path | None = None,
     pool: Executor | None = None,
+    fabric_root: Path | None = None,
 ) -> TryOnModel:
     """Fine-tune R_fine of each fabric against collisions; R_smooth and R_fine must be trained.
 
@@ -39,6 +41,7 @@ def fit_collisions(
         options: See `CollisionOptions`.
         root: Folder of the dataset that `options.replay` reads; without it no simulation is read.
         pool: Trains the fabrics side by side; without it one follows the other.
+        fabric_root: Of an R_fine of all fabrics: folder of the dataset of many fabrics, which is replayed too.
 
     Raises:
         ValueError: `options.replay` is no share below 1, or asked for without a dataset.
@@ -46,11 +49,11 @@ def fit_collisions(
     check_range("replay", options.replay, 0.0, 0.9)
     if options.replay and root is None:
         raise ValueError(f"replay = {options.replay} needs the folder of a dataset")
-    return fit_fabrics(run, fabrics, pool, _train_collisions, "collisions", run, options, root)
+    return fit_fabrics(run, fabrics, pool, _train_collisions, "collisions", run, options, root, fabric_root)
 
 
 def _train_collisions(
-    fabric: str, run: Path, options: CollisionOptions, root: Path | None
+    fabric: str, run: Path, options: CollisionOptions, root: Path | None, fabric_root: Path | None
 ) -> tuple[Stage, dict[str, Any]] | None:
     model = load_model(model_path(run))
     training = store.read_record(model_path(run)).get("training", {})
@@ -67,13 +70,16 @@ def _train_collisions(
     replayed: dict[str, Any] = {}
     source = None
     if options.replay and root is not None:
-        sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions())
+        if fabric_root is None:
+            sets, replayed["dataset"] = load_fine_sets(model, root, fabric, StageOptions())
+        else:
+            sets, replayed["dataset"] = load_all_fabrics(model, root, fabric_root, StageOptions())
         source = BatchSource(sets, options.garments, options.shapes)
 
     def draw(rng: np.random.Generator) -> CollisionBatch | StageBatch:
         if source is not None and rng.random() < options.replay:
             return source.draw(rng)
-        return draw_collisions(pool, options, model.config.beta_ranges, rng)
+        return draw_collisions(pool, options, model.config.beta_ranges, rng, task.start)
 
     def evaluate(weights: StageWeights) -> float:
         return 100 * task.inside_share(weights, held, options.loop.seed)

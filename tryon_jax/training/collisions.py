@@ -7,6 +7,7 @@ further where a dataset is at hand: some of the steps repeat what R_fine has lea
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -22,13 +23,21 @@ from tryon_jax.garment import Design, remesh
 from tryon_jax.mesh.quality import edge_lengths
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.stages import Distance, StageBatch, StageWeights, map_garments, stage_loss
+from tryon_jax.training.stages import (
+    Distance,
+    StageBatch,
+    StageWeights,
+    map_garments,
+    stacked_numbers,
+    stage_loss,
+)
 from tryon_jax.tryon import (
     Garment,
     Stage,
     TryOnModel,
     config_space,
     fine_stage,
+    of_fabric,
     prepare_mesh,
     smooth_stage,
     stack_garments,
@@ -90,6 +99,8 @@ class CollisionBatch:
 
     pooled: PooledGarment
     betas: Float[ArrayLike, "G B b"]
+    numbers: Float[ArrayLike, "G F"] | None = None
+    """Of each garment's fabric, for an R_fine of all fabrics."""
 
 
 def random_betas(rng: np.random.Generator, count: int, extent: tuple[float, ...]) -> Float[np.ndarray, "N b"]:
@@ -104,6 +115,20 @@ def random_betas(rng: np.random.Generator, count: int, extent: tuple[float, ...]
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     radius = rng.random((count, 1)) ** (1 / len(extent))
     return (direction * radius * np.array(extent)[None]).astype(np.float32)
+
+
+def random_fabric(stage: Stage, rng: np.random.Generator) -> Float[np.ndarray, " F"] | None:
+    """Numbers between those of two random trained fabrics; None for the R_fine of one fabric.
+
+    Args:
+        stage: R_fine.
+        rng: Source of random numbers.
+    """
+    if stage.fabrics is None:
+        return None
+    known = np.asarray(stage.fabrics.known)
+    one, other = known[rng.integers(len(known), size=2)]
+    return one + np.float32(rng.random()) * (other - one)
 
 
 def make_pool(model: TryOnModel, count: int, seed: int) -> list[PooledGarment]:
@@ -174,7 +199,7 @@ class CollisionTask:
         self.model, self.fabric, self.options = model, fabric, options
         self.start = model.fine[fabric]
         self.neighbours = list_neighbours(model.body)
-        self._count = jax.jit(lambda weights, pooled, betas: self._inside(weights, pooled, betas))
+        self._count = jax.jit(lambda *arguments: self._inside(*arguments))
 
     def body(self, betas: Float[Array, " b"]) -> tuple[Float[Array, "W 3"], Float[Array, "W 3"]]:
         """Vertices and normals of the body."""
@@ -188,18 +213,23 @@ class CollisionTask:
             units = jnp.asarray(self.start.scale) / self.options.margin
             in_margins = 3 * units * units if distance == "squared" else units
             return in_margins * stage_loss(self.model.config, "fine", stage, batch, distance)
-        return map_garments(lambda p, b: self._garment_loss(weights, p, b), batch.pooled, batch.betas).mean()
+        return map_garments(partial(self._garment_loss, weights), batch.pooled, batch.betas, batch.numbers).mean()
 
     def _garment_loss(
-        self, weights: StageWeights, pooled: PooledGarment, betas: Float[Array, "B b"]
+        self,
+        weights: StageWeights,
+        pooled: PooledGarment,
+        betas: Float[Array, "B b"],
+        numbers: Float[Array, " F"] | None,
     ) -> Float[Array, ""]:
         config, options = self.model.config, self.options
+        start, stage = of_fabric(self.start, numbers), of_fabric(weights.of(self.start), numbers)
         garment, mask = pooled.garment, jnp.asarray(pooled.garment.graph.mask)
         smooth = smooth_stage(config, self.model.smooth, garment, betas)
-        fine = fine_stage(config, weights.of(self.start), garment, betas, smooth)
+        fine = fine_stage(config, stage, garment, betas, smooth)
         anchor = jnp.zeros(())
         if options.anchor:
-            before = fine_stage(config, self.start, garment, betas, smooth)
+            before = fine_stage(config, start, garment, betas, smooth)
             moved = jnp.where(mask[None, :, None], fine - before, 0.0) / options.margin
             anchor = options.anchor * (moved * moved).sum() / (mask.sum() * len(betas))
 
@@ -214,10 +244,16 @@ class CollisionTask:
         torn = excess_stretch(fine, garment.graph.faces, pooled.rest, options.most_stretch)
         return collisions + options.stretch * torn + anchor
 
-    def _inside(self, weights: StageWeights, pooled: PooledGarment, betas: Float[Array, "B b"]) -> Float[Array, " B"]:
+    def _inside(
+        self,
+        weights: StageWeights,
+        pooled: PooledGarment,
+        betas: Float[Array, "B b"],
+        numbers: Float[Array, " F"] | None,
+    ) -> Float[Array, " B"]:
         config, garment = self.model.config, pooled.garment
         smooth = smooth_stage(config, self.model.smooth, garment, betas)
-        fine = fine_stage(config, weights.of(self.start), garment, betas, smooth)
+        fine = fine_stage(config, of_fabric(weights.of(self.start), numbers), garment, betas, smooth)
         mask = jnp.asarray(garment.graph.mask)
 
         def one(vertices, beta):
@@ -244,12 +280,17 @@ class CollisionTask:
         shares = []
         for pooled in pool:
             betas = random_betas(rng, self.options.shapes, self.model.config.beta_ranges)
-            shares.append(np.asarray(self._count(weights, pooled, betas)).mean())
+            numbers = random_fabric(self.start, rng)
+            shares.append(np.asarray(self._count(weights, pooled, betas, numbers)).mean())
         return float(np.mean(shares))
 
 
 def draw_collisions(
-    pool: Sequence[PooledGarment], options: CollisionOptions, extent: tuple[float, ...], rng: np.random.Generator
+    pool: Sequence[PooledGarment],
+    options: CollisionOptions,
+    extent: tuple[float, ...],
+    rng: np.random.Generator,
+    stage: Stage | None = None,
 ) -> CollisionBatch:
     """A batch of garments that share a bucket, with random shapes.
 
@@ -258,6 +299,7 @@ def draw_collisions(
         options: Sizes of the batch.
         extent: Half axes of the body shapes, standard deviations.
         rng: Source of random numbers.
+        stage: R_fine; one of all fabrics sees random ones.
     """
     first = pool[int(rng.integers(len(pool)))]
     group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
@@ -265,7 +307,8 @@ def draw_collisions(
     betas = np.stack([random_betas(rng, options.shapes, extent) for _ in chosen])
     garments = stack_garments([p.garment for p in chosen])
     pooled = PooledGarment(garments, np.stack([p.nearest for p in chosen]), np.stack([p.rest for p in chosen]))
-    return CollisionBatch(pooled, betas)
+    fabrics = [None if stage is None else random_fabric(stage, rng) for _ in chosen]
+    return CollisionBatch(pooled, betas, stacked_numbers(fabrics))
 
 
 def with_fine(model: TryOnModel, fabric: str, stage: Stage) -> TryOnModel:

@@ -30,6 +30,7 @@ from tryon_jax.tryon import (
     base_and_detail,
     fine_base,
     fine_stage,
+    of_fabric,
     smooth_stage,
     stack_garments,
 )
@@ -69,6 +70,8 @@ class StageBatch:
     """M_smooth as R_fine sees it; zeros for R_smooth, which does not use it."""
     targets: Float[ArrayLike, "G B N 3"]
     """Vertices to be predicted, metres."""
+    numbers: Float[ArrayLike, "G F"] | None = None
+    """Of each garment's fabric, for an R_fine of all fabrics."""
     cloth: Cloth | None = None
     """Rest states along the leading axis, where the loss has energies."""
 
@@ -86,6 +89,8 @@ class StageSet:
     validation: Bool[np.ndarray, " S"]
     cloth: Cloth | None = None
     """Rest state padded to the garment's bucket, where the loss has energies."""
+    numbers: Float[np.ndarray, " F"] | None = None
+    """Of the fabric, for an R_fine of all fabrics."""
 
 
 def predict(
@@ -130,7 +135,11 @@ def stage_loss(
         fabric: the stage's fabric, where there is such a weight.
     """
     predicted = map_garments(
-        lambda g, b, i: predict(config, kind, stage, g, b, i), batch.garments, batch.betas, batch.inputs
+        lambda g, b, i, n: predict(config, kind, of_fabric(stage, n), g, b, i),
+        batch.garments,
+        batch.betas,
+        batch.inputs,
+        batch.numbers,
     )
     mask = jnp.asarray(batch.garments.graph.mask)
     scale = jax.lax.stop_gradient(jnp.asarray(stage.scale))
@@ -233,6 +242,7 @@ def fine_sets(
     fabric: str,
     smooth_vertices: Sequence[Float[np.ndarray, "S N 3"]] | None = None,
     cloths: Sequence[Cloth] | None = None,
+    numbers: Float[np.ndarray, " F"] | None = None,
 ) -> list[StageSet]:
     """R_fine's samples for one fabric: the simulations themselves, given M_smooth of each sample.
 
@@ -242,6 +252,7 @@ def fine_sets(
         fabric: which fabric's simulations.
         smooth_vertices: the predicted M_smooth; None for the smoothed simulation itself, the paper's form.
         cloths: rest states, where the loss has energies.
+        numbers: of the fabric, for an R_fine of all fabrics.
     """
     sets = []
     for k, s in enumerate(samples):
@@ -250,7 +261,8 @@ def fine_sets(
         inputs = s.target if smooth_vertices is None else smooth_vertices[k]
         cloth = None if cloths is None else cloths[k]
         drapes = s.drapes[fabric]
-        sets.append(StageSet(s.name, s.garment, s.betas, inputs, drapes, train & good, validation & good, cloth))
+        split = (train & good, validation & good)
+        sets.append(StageSet(s.name, s.garment, s.betas, inputs, drapes, *split, cloth, numbers))
     return sets
 
 
@@ -315,6 +327,7 @@ class BatchSource:
                 ]
             ),
             np.stack([s.targets[p] for s, p in zip(chosen, picks, strict=True)]),
+            stacked_numbers([s.numbers for s in chosen]),
             self._cloths(chosen),
         )
 
@@ -329,6 +342,12 @@ class BatchSource:
         if any(cloth is None for cloth in cloths):
             return None
         return jax.tree.map(lambda *arrays: np.stack([np.asarray(a) for a in arrays]), *cloths)
+
+
+def stacked_numbers(rows: Sequence[Float[np.ndarray, " F"] | None]) -> Float[np.ndarray, "G F"] | None:
+    """Numbers of the fabrics of G garments; None where the R_fine of one fabric sees none."""
+    there = [row for row in rows if row is not None]
+    return np.stack(there) if there else None
 
 
 class Predictor:
@@ -374,7 +393,7 @@ def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet
         if not len(chosen):
             continue
         inputs = None if s.inputs is None else s.inputs[chosen]
-        predicted = predictor(stage, s.garment, s.betas[chosen], inputs)
+        predicted = predictor(of_fabric(stage, s.numbers), s.garment, s.betas[chosen], inputs)
         mask = np.asarray(s.garment.graph.mask)
         error = 1e3 * np.linalg.norm((predicted - s.targets[chosen])[:, mask], axis=-1).mean()
         errors.setdefault(bool(s.train.any()), []).append(float(error))

@@ -18,11 +18,13 @@ from tryon_jax.tryon.draping import (
 from tryon_jax.tryon.features import fine_features, smooth_features
 from tryon_jax.tryon.garment import CarriedMesh, Garment, stack_garments
 from tryon_jax.tryon.model import (
+    ALL_FABRICS,
     Stage,
     TryOnModel,
     config_space,
     init_model,
     model_parameters,
+    of_fabric,
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
@@ -30,6 +32,7 @@ from tryon_jax.tryon.preparation import design_of, prepare, prepare_mesh
 from tryon_jax.tryon.stages import apply_stage, base_and_detail, fine_base, fine_stage, smooth_stage
 
 __all__ = [
+    "ALL_FABRICS",
     "BodyContact",
     "CarriedMesh",
     "DrapeFields",
@@ -59,6 +62,7 @@ __all__ = [
     "mean_drape",
     "model_parameters",
     "move_with_graph",
+    "of_fabric",
     "prepare",
     "prepare_mesh",
     "report_penetration",

@@ -10,7 +10,7 @@ from tryon_jax.checks import check_choice
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.nets.mlp import MLP, apply_mean_drape
 from tryon_jax.tryon.garment import Garment
-from tryon_jax.tryon.model import Stage, TryOnModel
+from tryon_jax.tryon.model import ALL_FABRICS, Stage, TryOnModel, of_fabric
 from tryon_jax.tryon.stages import (
     base_and_detail,
     field_coefficients,
@@ -70,7 +70,7 @@ def drape(
     model: TryOnModel,
     garment: Garment,
     betas: Float[ArrayLike, "*batch b"],
-    fabric: str | None = None,
+    fabric: str | Float[ArrayLike, " F"] | None = None,
     design: Float[ArrayLike, " P"] | None = None,
 ) -> Float[Array, "*batch N 3"]:
     """Vertices of the garment on the body of shape `betas`, metres, padded: `garment.unpad` drops the padding.
@@ -83,7 +83,8 @@ def drape(
         model: From `load_pretrained`, `load_model` or training.
         garment: From `prepare`.
         betas: Shape coefficients; several body shapes at once are cheaper than one by one.
-        fabric: One of `model.config.fabrics`; by default the first.
+        fabric: One of `model.config.fabrics`; by default the first. A model of all fabrics also takes the numbers of
+            any other one, as `fabric_numbers` gives them: pass them as an array, and differentiate through them.
         design: Design parameters in metres for M̄ = W · R_mean(p) at the garment's topology; by default M̄ as
             prepared.
 
@@ -97,7 +98,7 @@ def drape_stages(
     model: TryOnModel,
     garment: Garment,
     betas: Float[ArrayLike, "*batch b"],
-    fabric: str | None = None,
+    fabric: str | Float[ArrayLike, " F"] | None = None,
     design: Float[ArrayLike, " P"] | None = None,
     contact: BodyContact | None = None,
 ) -> DrapeStages:
@@ -109,7 +110,7 @@ def drape_stages(
         model: Networks and body.
         garment: From `prepare`.
         betas: Body shapes, standard deviations.
-        fabric: One of the model's; the first when None.
+        fabric: As in `drape`.
         design: Design parameters in place of the garment's, metres.
         contact: From `body_contact(model.body)`; with it the result says where M_fine is inside the body.
     """
@@ -135,7 +136,7 @@ def drape_stages(
 def drape_fields(
     model: TryOnModel,
     garment: Garment,
-    fabric: str | None = None,
+    fabric: str | Float[ArrayLike, " F"] | None = None,
     design: Float[ArrayLike, " P"] | None = None,
 ) -> DrapeFields:
     """The networks' part of `drape`, once for a garment and a fabric; arguments as there.
@@ -143,7 +144,7 @@ def drape_fields(
     Args:
         model: Networks and body.
         garment: From `prepare`.
-        fabric: One of the model's; the first when None.
+        fabric: As in `drape`.
         design: Design parameters in place of the garment's, metres.
 
     Raises:
@@ -181,13 +182,28 @@ def field_stages(
     return smooth.reshape(*batch, *smooth.shape[1:]), fine.reshape(*batch, *fine.shape[1:])
 
 
-def fine_of(model: TryOnModel, fabric: str | None) -> Stage:
-    """R_fine of a fabric, by default of the model's first.
+def fine_of(model: TryOnModel, fabric: str | Float[ArrayLike, " F"] | None) -> Stage:
+    """R_fine of a fabric.
+
+    Args:
+        model: Networks.
+        fabric: One of the model's by name, the first when None; the numbers of any for a model of all fabrics.
 
     Raises:
         ValueError: the model does not know the fabric.
     """
-    return model.fine[check_choice("fabric", fabric or model.config.fabrics[0], model.fine)]
+    config = model.config
+    if not isinstance(fabric, str | None):
+        if not config.fabric_functions:
+            known = ", ".join(map(repr, config.fabrics))
+            raise ValueError(f"this model has one R_fine for each fabric and takes names, not numbers: {known}")
+        return of_fabric(model.fine[ALL_FABRICS], fabric)
+    name = check_choice("fabric", fabric or config.fabrics[0], config.fabrics)
+    if not config.fabric_functions:
+        return model.fine[name]
+    stage = model.fine[ALL_FABRICS]
+    assert stage.fabrics is not None
+    return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.fabrics.index(name)])
 
 
 def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:

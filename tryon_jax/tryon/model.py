@@ -1,7 +1,7 @@
 """The model: three regressors, the body they are for, and their configuration."""
 
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -12,9 +12,13 @@ from jaxtyping import Float, PRNGKeyArray
 from tryon_jax.body.embedded import load_body
 from tryon_jax.garment import DesignSpace, load_design_space
 from tryon_jax.nets.config import SMALL, TryOnConfig
+from tryon_jax.nets.fabric_functions import FabricFunctions, apply_fabric_functions
 from tryon_jax.nets.mlp import MLP, MeanDrape, init_mean_drape, init_mlp
 from tryon_jax.nets.unet import UNet, UNetConfig, init_unet
 from tryon_jax.types import ArrayLike, Body, pytree, static
+
+ALL_FABRICS = "all"
+"""Name of the R_fine that serves every fabric."""
 
 
 @pytree
@@ -27,6 +31,10 @@ class Stage:
     coefficients: MLP | None = None
     """From betas and their waves to the weights of the K fields that the network predicts; None where the betas are
     node features."""
+    fabrics: FabricFunctions | None = None
+    """Of an R_fine of all fabrics: what weights its fields beside the coefficients."""
+    fabric_values: Float[ArrayLike, " J"] | None = None
+    """Their values for the fabric that is draped (see `of_fabric`)."""
 
 
 @pytree
@@ -38,7 +46,7 @@ class TryOnModel:
     smooth: Stage
     """R_smooth."""
     fine: dict[str, Stage]
-    """R_fine of each fabric."""
+    """R_fine of each fabric, or under the name `ALL_FABRICS` the one of all."""
     body: Body
     config: TryOnConfig = static(default=SMALL)
 
@@ -72,22 +80,49 @@ def init_model(
         hidden=config.mean_hidden,
     )
 
+    if config.fabric_functions and config.conditioning == "node":
+        raise ValueError(f'fabric_functions = {config.fabric_functions} needs conditioning="fields", not "node"')
     if len(space.names) != config.num_parameters:
         raise ValueError(f"the configuration has {config.num_parameters} parameters, the space {len(space.names)}")
 
-    def stage(stage_key: PRNGKeyArray, net: UNetConfig, features: int) -> Stage:
+    def stage(stage_key: PRNGKeyArray, net: UNetConfig, features: int, outputs: int) -> Stage:
         net_key, coefficient_key = jax.random.split(stage_key)
-        unet = init_unet(net_key, net, features, config.outputs)
+        unet = init_unet(net_key, net, features, outputs)
         if config.conditioning == "node":
             return Stage(unet, jnp.asarray(0.01))
         inputs = config.num_betas * (1 + 2 * len(config.beta_periods))
         coefficients = init_mlp(coefficient_key, (inputs, *config.coefficient_widths, config.fields))
         return Stage(unet, jnp.asarray(0.01), coefficients)
 
-    fine = {
-        fabric: stage(k, config.fine, config.fine_features) for fabric, k in zip(config.fabrics, keys[2:], strict=True)
-    }
-    return TryOnModel(mean, stage(keys[1], config.smooth, config.smooth_features), fine, body, config)
+    def fine_stage(stage_key: PRNGKeyArray) -> Stage:
+        return stage(stage_key, config.fine, config.fine_features, config.fine_outputs)
+
+    smooth = stage(keys[1], config.smooth, config.smooth_features, config.smooth_outputs)
+    if config.fabric_functions:
+        fine = {ALL_FABRICS: replace(fine_stage(keys[2]), fabrics=_no_functions(config))}
+    else:
+        fine = {fabric: fine_stage(k) for fabric, k in zip(config.fabrics, keys[2:], strict=True)}
+    return TryOnModel(mean, smooth, fine, body, config)
+
+
+def _no_functions(config: TryOnConfig) -> FabricFunctions:
+    """Functions that are one for every fabric, before they are fitted."""
+    count = len(config.fabrics)
+    weights = jnp.zeros((count + 1, config.fabric_functions)).at[-1].set(1.0)
+    numbers = config.fabric_numbers
+    return FabricFunctions(jnp.zeros((count, numbers)), jnp.zeros(numbers), jnp.ones(numbers), weights)
+
+
+def of_fabric(stage: Stage, numbers: Float[ArrayLike, " F"] | None) -> Stage:
+    """An R_fine of all fabrics for one of them.
+
+    Args:
+        stage: R_fine.
+        numbers: Of the fabric, as `fabric_numbers` gives them; None leaves the stage as it is.
+    """
+    if numbers is None or stage.fabrics is None:
+        return stage
+    return replace(stage, fabric_values=apply_fabric_functions(stage.fabrics, jnp.asarray(numbers)))
 
 
 def config_space(config: TryOnConfig) -> DesignSpace:
@@ -102,4 +137,4 @@ def model_parameters(model: TryOnModel) -> dict[str, Any]:
 
 def with_parameters(model: TryOnModel, parameters: Mapping[str, Any]) -> TryOnModel:
     """The model with other learned parameters, as `model_parameters` gives them."""
-    return dataclasses.replace(model, **parameters)
+    return replace(model, **parameters)

@@ -27,8 +27,10 @@ _BEFORE_FIELDS = {
     "design_features": False,
     "num_parameters": 3,
     "laplacian": "symmetric",
+    "fabric_functions": 0,
+    "fabric_numbers": 4,
 }
-"""Defaults for files that were written before networks predicted fields."""
+"""Defaults for files that were written before networks predicted fields, or saw the fabric."""
 
 
 def save_model(

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from tryon_jax.graph.build import GarmentGraph
 from tryon_jax.graph.smoothing import smooth
 from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.fabric_functions import mix_fields
 from tryon_jax.nets.fourier import fourier_features
 from tryon_jax.nets.mlp import MLP, apply_mlp
 from tryon_jax.nets.unet import apply_unet
@@ -80,12 +81,20 @@ def fine_fields(
 
     Args:
         config: Of the model.
-        stage: R_fine.
+        stage: R_fine, where it serves every fabric bound to one by `of_fabric`.
         garment: One garment.
         detail: What its mean drape has beyond its smoothed form, metres.
+
+    Raises:
+        ValueError: the stage serves every fabric and is bound to none.
     """
     vertices = jnp.asarray(garment.graph.vertices)[:, None, :]
-    return _split_fields(apply_stage(stage, garment.graph, fine_features(config, garment, vertices, detail)))
+    fields = _split_fields(apply_stage(stage, garment.graph, fine_features(config, garment, vertices, detail)))
+    if not config.fabric_functions:
+        return fields
+    if stage.fabric_values is None:
+        raise ValueError("this R_fine serves every fabric: say which one, by `of_fabric`")
+    return mix_fields(fields, jnp.asarray(stage.fabric_values), config.field_pairs, config.fields)
 
 
 def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
