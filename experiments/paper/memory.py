@@ -37,8 +37,8 @@ class Config:
 def stage_bytes(config: TryOnConfig) -> int:
     """Bytes of the graph U-Nets of R_smooth and one R_fine in float32; nothing is allocated."""
     parts = (
-        (config.smooth, config.smooth_features, config.smooth_outputs),
-        (config.fine, config.fine_features, config.fine_outputs),
+        (config.smooth, config.smooth_features, config.outputs),
+        (config.fine, config.fine_features, config.outputs),
     )
     key = jax.random.key(0)
     # Shapes of leaves alone leave the traced function: modules made of anything but arrays are none.

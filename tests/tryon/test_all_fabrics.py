@@ -33,7 +33,7 @@ by_name, by_numbers = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
 
 @pytest.fixture(scope="module")
 def model() -> TryOnModel:
-    made = make_model(replace(TINY, fabrics=FABRICS, fabric_functions=2))
+    made = make_model(replace(TINY, fabrics=(), shared_fabrics=FABRICS, fabric_functions=2))
     numbers = np.stack([np.asarray(fabric_numbers(load_fabric(name))) for name in FABRICS])
     values = np.array([[1.0, 0.5], [0.8, -1.0], [1.2, 0.3]])
     stage = replace(made.fine[ALL_FABRICS], fabrics=fit_fabric_functions(numbers, values))
@@ -91,4 +91,4 @@ def test_what_a_model_does_not_know_is_refused(model: TryOnModel, garment: Garme
     with pytest.raises(ValueError, match="takes names, not numbers: 'gray-interlock'"):
         drape(make_model(), garment, BETAS, jnp.zeros(4))
     with pytest.raises(ValueError, match='needs conditioning="fields"'):
-        init_model(jax.random.key(0), replace(TINY, fabric_functions=2, conditioning="node"))
+        init_model(jax.random.key(0), replace(TINY, shared_fabrics=FABRICS, conditioning="node"))

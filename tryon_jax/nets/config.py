@@ -39,10 +39,12 @@ class TryOnConfig:
     num_joints: int = 24
     """Skinning weights per node."""
     fabrics: tuple[str, ...] = ("gray-interlock",)
-    """One R_fine each, or those that one R_fine of all fabrics was trained on."""
-    fabric_functions: int = 0
-    """Functions J of a fabric's numbers, with which one R_fine serves every fabric (needs `conditioning="fields"`); 0:
-    one R_fine for each fabric, as in the paper."""
+    """One R_fine each, as in the paper."""
+    shared_fabrics: tuple[str, ...] = ()
+    """Fabrics that a further R_fine was trained on, which serves every fabric by its numbers (needs
+    `conditioning="fields"`); none: there is no such R_fine."""
+    fabric_functions: int = 6
+    """Functions J of a fabric's numbers that weight its fields."""
     fabric_numbers: int = 4
     """Numbers F of a fabric that those functions see."""
     conditioning: Conditioning = "fields"
@@ -106,19 +108,24 @@ class TryOnConfig:
         return self.position_features + betas + 3 * self.fine_detail
 
     @property
-    def smooth_outputs(self) -> int:
-        """What R_smooth predicts at a node: a displacement, or one for each field."""
+    def outputs(self) -> int:
+        """What R_smooth and the R_fine of one fabric predict at a node: a displacement, or one for each field."""
         return 3 * (self.fields if self.conditioning == "fields" else 1)
 
     @property
-    def fine_outputs(self) -> int:
-        """What R_fine predicts at a node: as R_smooth, or a displacement for each of `field_pairs`."""
-        return 3 * len(self.field_pairs) if self.fabric_functions else self.smooth_outputs
+    def shared_outputs(self) -> int:
+        """What the R_fine of all fabrics predicts at a node: a displacement for each of `field_pairs`."""
+        return 3 * len(self.field_pairs)
 
     @property
     def field_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Body coefficient and fabric function of each field of an R_fine of all fabrics."""
+        """Body coefficient and fabric function of each field of the R_fine of all fabrics."""
         return field_pairs(self.fields, self.fabric_functions)
+
+    @property
+    def known_fabrics(self) -> tuple[str, ...]:
+        """Names of the fabrics that the networks were trained on."""
+        return tuple(dict.fromkeys((*self.fabrics, *self.shared_fabrics)))
 
 
 def paper_form(config: TryOnConfig) -> TryOnConfig:

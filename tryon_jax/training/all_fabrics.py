@@ -148,7 +148,7 @@ def _columns(
 def _begin(run: Path, start: Path, fabrics: Sequence[str], functions: int, seed: int) -> None:
     """The run's model: R_mean and R_smooth of another one, and an R_fine of all fabrics that knows nothing yet."""
     old = load_model(start)
-    config = replace(old.config, fabrics=tuple(fabrics), fabric_functions=functions)
+    config = replace(old.config, fabrics=(), shared_fabrics=tuple(fabrics), fabric_functions=functions)
     model = replace(init_model(jax.random.key(seed), config, body=old.body), mean=old.mean, smooth=old.smooth)
     training = store.read_record(start).get("training", {})
     kept = {name: training[name] for name in ("mean", "smooth") if name in training}
@@ -172,7 +172,7 @@ def _load_by_fabric(
     here = training_names(fabric_root, manifest, options.designs)
     garments = {name: prepare_simulated(model, fabric_root, name) for name in here}
     found: dict[str, tuple[list[StageSet], list[StageSet]]] = {}
-    for fabric in tqdm(model.config.fabrics, desc="fabrics", mininterval=2):
+    for fabric in tqdm(model.config.shared_fabrics, desc="fabrics", mininterval=2):
         # One fabric at a time: a drape is of use in one whether or not it is at rest in another.
         own = [load_simulated(model, fabric_root, name, (fabric,), garments[name]) for name in here]
         predicted = [predictor(model.smooth, s.garment, s.betas) for s in own]

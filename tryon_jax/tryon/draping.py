@@ -83,8 +83,8 @@ def drape(
         model: From `load_pretrained`, `load_model` or training.
         garment: From `prepare`.
         betas: Shape coefficients; several body shapes at once are cheaper than one by one.
-        fabric: One of `model.config.fabrics`; by default the first. A model of all fabrics also takes the numbers of
-            any other one, as `fabric_numbers` gives them: pass them as an array, and differentiate through them.
+        fabric: One of `model.config.known_fabrics`, by default the first; or the numbers of any fabric, as
+            `fabric_numbers` gives them, an array like any other to jit and grad.
         design: Design parameters in metres for M̄ = W · R_mean(p) at the garment's topology; by default M̄ as
             prepared.
 
@@ -187,23 +187,23 @@ def fine_of(model: TryOnModel, fabric: str | Float[ArrayLike, " F"] | None) -> S
 
     Args:
         model: Networks.
-        fabric: One of the model's by name, the first when None; the numbers of any for a model of all fabrics.
+        fabric: One of the model's by name, the first when None; or the numbers of any.
 
     Raises:
         ValueError: the model does not know the fabric.
     """
     config = model.config
     if not isinstance(fabric, str | None):
-        if not config.fabric_functions:
+        if not config.shared_fabrics:
             known = ", ".join(map(repr, config.fabrics))
             raise ValueError(f"this model has one R_fine for each fabric and takes names, not numbers: {known}")
         return of_fabric(model.fine[ALL_FABRICS], fabric)
-    name = check_choice("fabric", fabric or config.fabrics[0], config.fabrics)
-    if not config.fabric_functions:
+    name = check_choice("fabric", fabric or config.known_fabrics[0], config.known_fabrics)
+    if name in model.fine:
         return model.fine[name]
     stage = model.fine[ALL_FABRICS]
     assert stage.fabrics is not None
-    return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.fabrics.index(name)])
+    return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.shared_fabrics.index(name)])
 
 
 def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:

@@ -46,7 +46,7 @@ class TryOnModel:
     smooth: Stage
     """R_smooth."""
     fine: dict[str, Stage]
-    """R_fine of each fabric, or under the name `ALL_FABRICS` the one of all."""
+    """R_fine of each fabric, and under the name `ALL_FABRICS` one of all where there is such."""
     body: Body
     config: TryOnConfig = static(default=SMALL)
 
@@ -80,8 +80,8 @@ def init_model(
         hidden=config.mean_hidden,
     )
 
-    if config.fabric_functions and config.conditioning == "node":
-        raise ValueError(f'fabric_functions = {config.fabric_functions} needs conditioning="fields", not "node"')
+    if config.shared_fabrics and config.conditioning == "node":
+        raise ValueError('an R_fine of all fabrics needs conditioning="fields", not "node"')
     if len(space.names) != config.num_parameters:
         raise ValueError(f"the configuration has {config.num_parameters} parameters, the space {len(space.names)}")
 
@@ -94,20 +94,20 @@ def init_model(
         coefficients = init_mlp(coefficient_key, (inputs, *config.coefficient_widths, config.fields))
         return Stage(unet, jnp.asarray(0.01), coefficients)
 
-    def fine_stage(stage_key: PRNGKeyArray) -> Stage:
-        return stage(stage_key, config.fine, config.fine_features, config.fine_outputs)
-
-    smooth = stage(keys[1], config.smooth, config.smooth_features, config.smooth_outputs)
-    if config.fabric_functions:
-        fine = {ALL_FABRICS: replace(fine_stage(keys[2]), fabrics=_no_functions(config))}
-    else:
-        fine = {fabric: fine_stage(k) for fabric, k in zip(config.fabrics, keys[2:], strict=True)}
+    smooth = stage(keys[1], config.smooth, config.smooth_features, config.outputs)
+    features, outputs = config.fine_features, config.outputs
+    fine = {
+        fabric: stage(k, config.fine, features, outputs) for fabric, k in zip(config.fabrics, keys[2:], strict=True)
+    }
+    if config.shared_fabrics:
+        shared = stage(jax.random.fold_in(key, 1), config.fine, features, config.shared_outputs)
+        fine[ALL_FABRICS] = replace(shared, fabrics=_no_functions(config))
     return TryOnModel(mean, smooth, fine, body, config)
 
 
 def _no_functions(config: TryOnConfig) -> FabricFunctions:
     """Functions that are one for every fabric, before they are fitted."""
-    count = len(config.fabrics)
+    count = len(config.shared_fabrics)
     weights = jnp.zeros((count + 1, config.fabric_functions)).at[-1].set(1.0)
     numbers = config.fabric_numbers
     return FabricFunctions(jnp.zeros((count, numbers)), jnp.zeros(numbers), jnp.ones(numbers), weights)

@@ -27,7 +27,8 @@ _BEFORE_FIELDS = {
     "design_features": False,
     "num_parameters": 3,
     "laplacian": "symmetric",
-    "fabric_functions": 0,
+    "shared_fabrics": [],
+    "fabric_functions": 6,
     "fabric_numbers": 4,
 }
 """Defaults for files that were written before networks predicted fields, or saw the fabric."""

@@ -90,7 +90,7 @@ def fine_fields(
     """
     vertices = jnp.asarray(garment.graph.vertices)[:, None, :]
     fields = _split_fields(apply_stage(stage, garment.graph, fine_features(config, garment, vertices, detail)))
-    if not config.fabric_functions:
+    if stage.fabrics is None:
         return fields
     if stage.fabric_values is None:
         raise ValueError("this R_fine serves every fabric: say which one, by `of_fabric`")
