@@ -90,6 +90,10 @@ SECTIONS = {
         "Claim of the paper: interactive rates. Here beside the simulator that made the data and beside what one "
         "would write in an afternoon.",
     ),
+    "fabrics": (
+        "Any fabric",
+        "One R_fine that is told a fabric's measured numbers, in place of one for each fabric as in the paper.",
+    ),
     "made_to_measure": (
         "Made to measure",
         "A pattern for one body, from the ease and the hem that are asked for. The paper has no such experiment.",

@@ -36,15 +36,14 @@ class Config:
     """Steps of R_fine's training."""
     collision_steps: int = 2000
     """Steps of the collision step; 0 leaves it out."""
-    stage: StageOptions = field(default_factory=StageOptions)
 
 
 def main(config: Config) -> None:
     """Run both stages; one that is done already takes no time."""
     fabrics = tuple(f for f in read_config(config.fabric_data).fabrics if f not in config.held_out)
     check_fabrics(config.data, config.fabric_data, fabrics, config.functions)
-    loop = config.stage.loop
-    stage = replace(config.stage, loop=replace(loop, steps=config.steps, evaluate_every=min(1000, config.steps)))
+    default = StageOptions()
+    stage = replace(default, loop=replace(default.loop, steps=config.steps, evaluate_every=min(1000, config.steps)))
     fit_all_fabrics(config.data, config.fabric_data, config.run, config.start, fabrics, config.functions, stage)
     draw_curve(config.run / f"fine-{ALL_FABRICS}", "validation error, mm")
     record = read_record(model_path(config.run))["training"][f"fine-{ALL_FABRICS}"]

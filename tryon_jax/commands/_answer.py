@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from tryon_jax.body.measurements import check_measurement
-from tryon_jax.checks import check_choice, check_file
+from tryon_jax.checks import check_file
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import Request, check_shape, resolve_betas, resolve_design
 from tryon_jax.contact.push_out import CLEARANCE
-from tryon_jax.physics.fabrics import fabric_names
+from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.gate import judge_betas
 from tryon_jax.wear.own import OwnOptions
@@ -39,9 +39,12 @@ class Treatment:
     own: OwnOptions = field(default_factory=OwnOptions)
     seed: int = 0
 
-    def fabrics(self, session: Session) -> Sequence[str]:
-        """What can be asked for: the simulator knows more fabrics than the networks."""
-        return fabric_names() if self.simulate or self.refine else session.fabrics
+    def check_fabric(self, session: Session, fabric: str | None) -> None:
+        """Raise `ValueError` for a fabric that neither the networks nor, where it takes part, the simulator knows."""
+        if fabric is not None and (self.simulate or self.refine):
+            load_fabric(fabric)
+        else:
+            session.check_fabric(fabric)
 
 
 def check(session: Session, request: Request, treatment: Treatment) -> None:
@@ -51,7 +54,7 @@ def check(session: Session, request: Request, treatment: Treatment) -> None:
         ValueError: an unknown fabric or design, numbers out of range, or betas far from what the networks know.
         FileNotFoundError: there is no such mesh.
     """
-    check_choice("fabric", request.fabric or session.fabrics[0], treatment.fabrics(session))
+    treatment.check_fabric(session, request.fabric)
     if request.mesh is None:
         resolve_design(session.space, request.cut)
     else:
@@ -177,7 +180,7 @@ def _garment(session: Session, request: Request, treatment: Treatment, clock: Cl
 
 def _learned(session: Session, request: Request) -> str:
     """The fabric that the networks drape; another one is only refined."""
-    return request.fabric if request.fabric in session.fabrics else session.fabrics[0]
+    return request.fabric if request.fabric and session.drapes_fabric(request.fabric) else session.fabrics[0]
 
 
 def _drape_key(session: Session, request: Request) -> tuple[str, str, str]:

@@ -17,7 +17,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -27,7 +26,7 @@ from tryon_jax.commands._request import Cut, Request, resolve_betas, resolve_des
 from tryon_jax.commands._table import FAILED, TABLE, cell, columns, csv_text, flatten
 from tryon_jax.contact.push_out import CLEARANCE
 from tryon_jax.files.atomic import atomic_path, write_text
-from tryon_jax.tryon import drape, load_model, load_pretrained
+from tryon_jax.tryon import load_model, load_pretrained
 from tryon_jax.wear.dressed import PARTS, DressedBody
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
@@ -185,14 +184,12 @@ def drape_block(root: str, garment: int, block: int) -> str:
     fabric = request.fabric or options.fabric
     first = block * options.block
     names, betas = catalogue.bodies[first:][: options.block], catalogue.betas[first:][: options.block]
-    # The last block is filled up with its own bodies: one shape of batch is compiled for each size of garment.
-    filled = betas[np.arange(min(options.block, len(catalogue.bodies))) % len(betas)]
-    drapes = prepared.garment.unpad(_drape(session.model, prepared.garment, filled, fabric=fabric))
+    drapes = session.drape_many(prepared, list(betas), fabric=fabric)
     rows, done = [], []
-    for name, shape, vertices in zip(names, betas, drapes, strict=False):
+    for name, shape, dressed in zip(names, betas, drapes, strict=True):
         row: dict[str, Any] = {"betas": shape.tolist(), "fabric": fabric}
         try:
-            dressed = _dress(session, prepared, shape, fabric, vertices, options)
+            dressed = _finish(session, dressed, options)
             row = {"outcome": NOT_JUDGED} | flatten(record(dressed, request.name))
             if not (options.gate and row["outcome"] == "refused"):
                 done.append((name, dressed, row))
@@ -214,15 +211,7 @@ def drape_block(root: str, garment: int, block: int) -> str:
     return f"{request.name}, block {block}: {len(done)} of {len(rows)} bodies"
 
 
-def _dress(
-    session: Session,
-    prepared: PreparedGarment,
-    betas: Float[np.ndarray, " b"],
-    fabric: str,
-    vertices: Float[np.ndarray, "V 3"],
-    options: Options,
-) -> DressedBody:
-    dressed = DressedBody(session.shape(betas), prepared, fabric, vertices, vertices, vertices)
+def _finish(session: Session, dressed: DressedBody, options: Options) -> DressedBody:
     if options.push_out:
         dressed = session.push_out(dressed, CLEARANCE)
     return session.judge(dressed) if options.fit else dressed
@@ -290,9 +279,6 @@ def join_tables(root: Path, catalogue: Catalogue) -> Summary:
                         rounding = max(rounding, float(row["rounding"] or 0))
                         writer.writerow(row)
     return Summary(outcomes, rounding)
-
-
-_drape = jax.jit(drape, static_argnames="fabric")
 
 
 @functools.lru_cache(maxsize=1)

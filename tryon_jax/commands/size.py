@@ -7,7 +7,7 @@ tryon size --sizes sizes.csv --betas 1 -0.5 --picture sizes.png
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tryon_jax.checks import check_choice, check_file
+from tryon_jax.checks import check_file
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import SIZE_COLUMNS, BodyShape, Request, read_requests, resolve_betas, resolve_design
 from tryon_jax.commands._say import say
@@ -53,7 +53,7 @@ def main(config: Config) -> None:
     with clock.stage("weights"):
         model = load_pretrained() if config.weights is None else load_model(check_file("--weights", config.weights))
     session = Session(model, one_size=True)
-    fabric = check_choice("fabric", config.fabric or session.fabrics[0], session.fabrics)
+    fabric = session.check_fabric(config.fabric)
     designs = _designs(session, requests, config.sizes.name)
     with clock.stage("body"):
         betas, remarks = resolve_betas(session.body, config.shape, session.num_betas)

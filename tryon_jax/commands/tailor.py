@@ -86,7 +86,7 @@ def main(config: Config) -> None:
     # One size for all designs: the next round compiles nothing.
     session = Session(model, one_size=True)
     start = resolve_design(session.space, config.cut)
-    fabric = check_choice("fabric", config.fabric or session.fabrics[0], session.fabrics)
+    fabric = session.check_fabric(config.fabric)
     with clock.stage("body"):
         betas, remarks = resolve_betas(session.body, config.shape, session.num_betas)
         judge_betas(betas, model.config.beta_ranges).check("this body")

@@ -83,7 +83,7 @@ def load_fabric(name_or_path: str | Path) -> Fabric:
         FileNotFoundError: no such file.
     """
     text = str(name_or_path)
-    if not text.endswith(".toml"):
+    if not is_fabric_file(text):
         return _make_fabric(text, _embedded()[check_choice("fabric", text, fabric_names())])
     path = check_file("fabric file", text)
     try:
@@ -96,9 +96,14 @@ def load_fabric(name_or_path: str | Path) -> Fabric:
     return _make_fabric(name, table)
 
 
+def is_fabric_file(name: str) -> bool:
+    """Whether this is the path of a fabric file and no name."""
+    return name.endswith(".toml")
+
+
 def known_fabric(name: str) -> Fabric | None:
-    """The embedded fabric of that name, None where networks were trained on a fabric of somebody's own."""
-    return load_fabric(name) if name in _embedded() else None
+    """The embedded fabric of that name or the fabric of a file; None where networks were trained on another one."""
+    return load_fabric(name) if is_fabric_file(name) or name in _embedded() else None
 
 
 def _embedded() -> dict[str, Any]:

@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from tryon_jax.checks import check_choice
 from tryon_jax.contact.push_out import CLEARANCE, push_out
-from tryon_jax.physics.fabrics import fabric_names, known_fabric, load_fabric
+from tryon_jax.physics.fabric_numbers import fabric_numbers
+from tryon_jax.physics.fabrics import fabric_names, is_fabric_file, known_fabric, load_fabric
 from tryon_jax.tryon import DrapeFields, TryOnModel, drape_fields, drape_stages, field_stages, load_pretrained
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody
@@ -69,13 +70,40 @@ class Session(SessionGarments):
         super().__init__(load_pretrained() if model is None else model, body, triangle_area, one_size)
         self._drape = jax.jit(drape_stages, static_argnames="fabric")
         self._make_fields = jax.jit(drape_fields, static_argnames="fabric")
+        # A fabric by its numbers is an argument like any other: another one compiles nothing.
+        self._make_any_fields = jax.jit(drape_fields)
         self._apply_fields = jax.jit(field_stages)
         self._fields: LastUsed[DrapeFields] = LastUsed(_FIELDS)
 
     @property
     def fabrics(self) -> tuple[str, ...]:
-        """Names of the fabrics that the model knows; the first is the default."""
-        return tuple(self.model.config.fabrics)
+        """Names of the fabrics that the networks drape; the first is the default.
+
+        With an R_fine of all fabrics these are all that are embedded, and `drape` also takes the path of a fabric file.
+        """
+        known = self.model.config.known_fabrics
+        return tuple(dict.fromkeys((*known, *fabric_names()))) if self._takes_any_fabric else known
+
+    @property
+    def _takes_any_fabric(self) -> bool:
+        return bool(self.model.config.shared_fabrics)
+
+    def drapes_fabric(self, fabric: str) -> bool:
+        """Whether the networks drape a fabric of this name, or in this file; others are for the simulator."""
+        return fabric in self.fabrics or (self._takes_any_fabric and is_fabric_file(fabric))
+
+    def check_fabric(self, fabric: str | None) -> str:
+        """Name of a fabric that the networks drape, or path of its file; the default one when None.
+
+        Raises:
+            ValueError: An unknown name, or a file that holds no fabric.
+            FileNotFoundError: There is no such file.
+        """
+        name = fabric or self.fabrics[0]
+        if self._takes_any_fabric and is_fabric_file(name):
+            load_fabric(name)
+            return name
+        return check_choice("fabric", name, self.fabrics)
 
     def drape(
         self,
@@ -90,7 +118,7 @@ class Session(SessionGarments):
         Args:
             garment: From `prepare`.
             betas: As in `shape`.
-            fabric: One of `fabrics`; the first by default.
+            fabric: One of `fabrics`, the first by default; with an R_fine of all fabrics, also the path of a file.
             stopwatch: Takes the time of "body", "drape" and, for another body, "carry over".
 
         Raises:
@@ -111,14 +139,14 @@ class Session(SessionGarments):
         Args:
             garment: From `prepare`.
             betas: Of each body, as in `shape`.
-            fabric: One of `fabrics`; the first by default.
+            fabric: One of `fabrics`, the first by default; with an R_fine of all fabrics, also the path of a file.
             stopwatch: As in `drape`.
 
         Raises:
             ValueError: An unknown fabric, or betas as in `shape`.
         """
         watch = stopwatch or Stopwatch()
-        fabric = check_choice("fabric", fabric or self.fabrics[0], self.fabrics)
+        fabric = self.check_fabric(fabric)
         bodies = [self.shape(one, stopwatch=watch) for one in betas]
         dressed = []
         for first in range(0, len(bodies), TOGETHER):
@@ -146,11 +174,15 @@ class Session(SessionGarments):
         if count > 1:
             betas = np.concatenate([betas, np.broadcast_to(betas[:1], (TOGETHER - count, betas.shape[1]))])
         if self.model.config.conditioning == "fields":
+            numbers = None if fabric in self.model.config.fabrics else np.asarray(fabric_numbers(load_fabric(fabric)))
 
             def make() -> DrapeFields:
-                return self._make_fields(self.model, garment.garment, fabric=fabric)
+                if numbers is None:
+                    return self._make_fields(self.model, garment.garment, fabric=fabric)
+                return self._make_any_fields(self.model, garment.garment, fabric=numbers)
 
-            smooth, fine = self._apply_fields(self._fields.get((garment, fabric), make), betas)
+            key = (garment, fabric if numbers is None else numbers.tobytes())
+            smooth, fine = self._apply_fields(self._fields.get(key, make), betas)
         else:
             stages = self._drape(self.model, garment.garment, betas, fabric=fabric)
             smooth, fine = stages.smooth, stages.fine
@@ -170,7 +202,7 @@ class Session(SessionGarments):
         Args:
             dressed: From `drape`.
             steps: Implicit steps at most; None to rest.
-            fabric: Any fabric of `physics.fabrics`; by default the one that was draped.
+            fabric: Any fabric of `physics.fabrics`, or the path of a file; by default the one that was draped.
             stopwatch: Takes the time of "simulation".
             progress: Told while it runs.
 
@@ -178,10 +210,11 @@ class Session(SessionGarments):
             ValueError: An unknown fabric, or steps outside 1 to 10,000.
             Diverged: The simulation diverged: positions or forces became infinite.
         """
-        fabric = check_choice("fabric", fabric or dressed.fabric, fabric_names())
+        fabric = fabric or dressed.fabric
+        cloth = load_fabric(fabric)
         with (stopwatch or Stopwatch()).stage("simulation"):
             result = self.simulator.refine(
-                dressed.vertices, dressed.garment.pattern, load_fabric(fabric), dressed.body.betas, steps, progress
+                dressed.vertices, dressed.garment.pattern, cloth, dressed.body.betas, steps, progress
             )
         return replace(
             dressed, fabric=fabric, vertices=result.vertices, simulated=result, pushed=None, fit=None, verdict=None
@@ -201,7 +234,7 @@ class Session(SessionGarments):
         Args:
             garment: From `prepare`.
             betas: As in `shape`.
-            fabric: Any fabric of `physics.fabrics`; the model's first by default.
+            fabric: Any fabric of `physics.fabrics`, or the path of a file; the model's first by default.
             stopwatch: Takes the time of "body" and "simulation".
             progress: Told while it runs.
 
@@ -210,10 +243,11 @@ class Session(SessionGarments):
             Diverged: The simulation diverged: positions or forces became infinite.
         """
         watch = stopwatch or Stopwatch()
-        fabric = check_choice("fabric", fabric or self.fabrics[0], fabric_names())
+        fabric = fabric or self.fabrics[0]
+        cloth = load_fabric(fabric)
         body = self.shape(betas, stopwatch=watch)
         with watch.stage("simulation"):
-            result = self.simulator.dress(garment.start(), garment.pattern, load_fabric(fabric), body.betas, progress)
+            result = self.simulator.dress(garment.start(), garment.pattern, cloth, body.betas, progress)
         drape = result.vertices
         return DressedBody(body, garment, fabric, vertices=drape, smooth=drape, fine=drape, simulated=result)
 
@@ -310,7 +344,7 @@ class Session(SessionGarments):
         Args:
             garment: From `prepare`, or a design as there.
             betas: As in `shape`.
-            fabric: One of `fabrics`; the first by default.
+            fabric: One of `fabrics`, the first by default; with an R_fine of all fabrics, also the path of a file.
             clearance: Distance to keep from the body, metres; None to leave the drape as it is.
             stopwatch: Takes the time of each step.
 

@@ -128,7 +128,7 @@ def tailor(
         raise ValueError("tailoring is for the networks' body; another body is dressed by approximation")
     check_range("rounds", rounds, 1, 20)
     watch = stopwatch or Stopwatch()
-    fabric = check_choice("fabric", fabric or session.fabrics[0], session.fabrics)
+    fabric = session.check_fabric(fabric)
     body = session.shape(betas, stopwatch=watch)
     unknowns = Unknowns.of(session.space)
     wanted, weights = _wanted_lengths(target, body)
