@@ -9,7 +9,7 @@ from tryon_jax.body import load_body
 from tryon_jax.garment import build_template, load_design_space, placement
 from tryon_jax.nets.config import load_config
 from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.tryon import TryOnModel, init_model, model_parameters
+from tryon_jax.tryon import ALL_FABRICS, TryOnModel, init_model, model_parameters
 
 FABRICS = ("gray-interlock", "camel-ponte-roma")
 
@@ -24,4 +24,8 @@ def flat_model(**changes: object) -> TryOnModel:
     learned = jax.jit(lambda: model_parameters(init_model(jax.random.key(0), config, body=body)))()
     model = TryOnModel(**jax.tree.map(lambda leaf: np.zeros_like(leaf), learned), body=body, config=config)
     mean = replace(model.mean, template_center=template, design_scale=np.ones_like(model.mean.design_scale))
-    return replace(model, mean=mean)
+    fine = dict(model.fine)
+    if config.shared_fabrics:
+        shared = fine[ALL_FABRICS]
+        fine[ALL_FABRICS] = replace(shared, fabrics=replace(shared.fabrics, scale=np.ones_like(shared.fabrics.scale)))
+    return replace(model, mean=mean, fine=fine)

@@ -12,6 +12,7 @@ from tryon_jax.cli import main
 from tryon_jax.commands import _catalogue, catalogue
 from tryon_jax.training.dataset import load_arrays
 from tryon_jax.tryon import save_model
+from tryon_jax.wear.dressed import DressedBody
 
 
 @pytest.fixture(scope="module")
@@ -81,17 +82,7 @@ def test_what_is_written_is_as_near_as_the_table_says(lists, weights, tmp_path):
     prepared = session.prepare("tank")
     vertices = prepared.garment.mean_vertices
     drapes = [vertices + 0.05 * rng.normal(size=vertices.shape).astype(np.float32) for _ in range(3)]
-    dressed = [
-        _catalogue._dress(
-            session,
-            prepared,
-            np.zeros(2, np.float32),
-            "gray-interlock",
-            drape,
-            _catalogue.Options("", push_out=False, fit=False),
-        )
-        for drape in drapes
-    ]
+    dressed = [DressedBody(session.shape(), prepared, "gray-interlock", drape, drape, drape) for drape in drapes]
     path = tmp_path / "x.npz"
     rounding = _catalogue._write_drapes(path, prepared, [(str(k), d, None) for k, d in enumerate(dressed)])
     found = load_arrays(path)
@@ -147,15 +138,15 @@ def test_all_bad_rows_of_both_files_are_named(lists, weights, tmp_path, capsys):
 def test_a_drape_that_fails_is_said_and_tried_again(lists, weights, tmp_path, capsys, monkeypatch):
     out = tmp_path / "out"
     lists[0].write_text("name,design\nlong,dress\n")
-    dress = _catalogue._dress
+    finish = _catalogue._finish
 
-    def fail(session, prepared, betas, *more):
-        if betas[0] == -1:
+    def fail(session, dressed, options):
+        if dressed.body.betas[0] == -1:
             raise FloatingPointError("no number")
-        return dress(session, prepared, betas, *more)
+        return finish(session, dressed, options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(_catalogue, "_dress", fail)
+        patch.setattr(_catalogue, "_finish", fail)
         assert main(arguments(lists, weights, out, *QUICK)) == 1
     assert "1 of 5 drapes failed, see fit.csv" in capsys.readouterr().err
     assert [row["error"] for row in read(out / "fit.csv")] == ["", "no number", "", "", ""]

@@ -25,6 +25,7 @@ from tryon_jax.tryon import (
     prepare,
     save_model,
 )
+from tryon_jax.tryon.shared_fine import add_shared_fine, save_shared_fine
 
 FABRICS = ("gray-interlock", "royal-target", "white-dots-on-blk")
 BETAS = jnp.array([[0.5, -1.0], [1.0, 2.0]])
@@ -83,6 +84,27 @@ def test_a_file_keeps_the_functions(model: TryOnModel, garment: Garment, tmp_pat
     assert again.config == model.config
     expected = by_name(model, garment, BETAS, fabric="royal-target")
     np.testing.assert_allclose(by_name(again, garment, BETAS, fabric="royal-target"), expected, atol=1e-6)
+
+
+def test_the_shared_network_stands_beside_those_of_single_fabrics(
+    model: TryOnModel, garment: Garment, tmp_path: Path
+) -> None:
+    path = tmp_path / "small-fabrics.safetensors"
+    save_shared_fine(path, model)
+    own = init_model(jax.random.key(5), TINY, body=model.body)
+    both = add_shared_fine(replace(own, mean=model.mean, smooth=model.smooth), path)
+    assert both.config.known_fabrics == (*TINY.fabrics, "royal-target")
+    numbers = fabric_numbers(load_fabric("tango-red-jet-set"))
+    for fabric in ("royal-target", numbers):
+        run = by_name if isinstance(fabric, str) else by_numbers
+        expected = run(model, garment, BETAS, fabric=fabric)
+        np.testing.assert_allclose(run(both, garment, BETAS, fabric=fabric), expected, atol=1e-6)
+    single = by_name(replace(own, mean=model.mean, smooth=model.smooth), garment, BETAS, fabric=TINY.fabrics[0])
+    np.testing.assert_array_equal(by_name(both, garment, BETAS, fabric=TINY.fabrics[0]), single)
+    with pytest.raises(ValueError, match="R_mean and R_smooth are not those"):
+        add_shared_fine(own, path)
+    with pytest.raises(ValueError, match="no R_fine of all fabrics"):
+        save_shared_fine(path, own)
 
 
 def test_what_a_model_does_not_know_is_refused(model: TryOnModel, garment: Garment) -> None:

@@ -1,15 +1,18 @@
 """One object from design, body and fabric to the fitted garment and its file."""
 
 from dataclasses import replace
+from importlib import resources
 
 import numpy as np
 import pytest
 import trimesh
 
 import tryon_jax as tj
+from benchmarks._machine import counting_compilations
 from tests.flat_model import flat_model
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
+from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.wear.stopwatch import Stopwatch
 
 
@@ -138,3 +141,38 @@ def test_what_makes_no_sense_is_refused(session, call, message):
 def test_measurements_name_a_body(session):
     fit = session.body_of({"stature": 1.7})
     assert session.shape(np.asarray(fit.betas)).measurements["stature"] == pytest.approx(1.7, abs=5e-3)
+
+
+@pytest.fixture(scope="module")
+def any_fabric():
+    """A session whose networks take every fabric; they are zero, so that all fabrics drape alike."""
+    return tj.Session(flat_model(shared_fabrics=("gray-interlock", "royal-target")), triangle_area=1.2e-3)
+
+
+def test_a_network_of_all_fabrics_takes_every_name_and_files(any_fabric, tmp_path):
+    assert any_fabric.fabrics[:2] == ("gray-interlock", "camel-ponte-roma")
+    assert set(any_fabric.fabrics) == set(fabric_names())
+    path = tmp_path / "mine.toml"
+    source = resources.files("tryon_jax").joinpath("data/fabrics.toml").read_text()
+    path.write_text("[mine" + source.partition("[tango-red-jet-set")[2].partition("\n[")[0])
+    garment = any_fabric.prepare("tank")
+    for fabric in ("tango-red-jet-set", str(path)):
+        dressed = any_fabric.measure(any_fabric.drape(garment, (0.5,), fabric=fabric))
+        assert dressed.fabric == fabric
+        assert dressed.fit is not None
+        assert dressed.fit.pull, "the fabric's tables tell how hard it pulls"
+
+
+def test_another_fabric_compiles_nothing(any_fabric):
+    garment = any_fabric.prepare("tank")
+    any_fabric.drape(garment, fabric="white-swim-solid")
+    with counting_compilations() as count:
+        any_fabric.drape(garment, fabric="pink-ribbon-brown")
+    assert count.count == 0
+
+
+def test_a_fabric_file_needs_a_network_of_all_fabrics(session, any_fabric, tmp_path):
+    with pytest.raises(ValueError, match="unknown fabric"):
+        session.drape(session.prepare("tank"), fabric=str(tmp_path / "mine.toml"))
+    with pytest.raises(FileNotFoundError, match="fabric file"):
+        any_fabric.drape(any_fabric.prepare("tank"), fabric=str(tmp_path / "gone.toml"))

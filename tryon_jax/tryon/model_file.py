@@ -15,7 +15,11 @@ from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
+from tryon_jax.tryon.shared_fine import add_shared_fine
 from tryon_jax.types import Body
+
+SHARED = "-fabrics"
+"""Ends the name of a file with the R_fine of all fabrics of a pretrained model."""
 
 _BEFORE_FIELDS = {
     "beta_extent": [3.0, 2.0],
@@ -87,14 +91,20 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
 def load_pretrained(name: str = "small") -> TryOnModel:
     """The model that comes with the library: trained weights, body and pattern, nothing to download.
 
+    "small", the default, has an R_fine for each of two fabrics and one for all; "paper-form" is the paper's.
+
     Raises:
         ValueError: there is no model of that name.
     """
     folder = resources.files("tryon_jax") / "data" / "models"
-    names = sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir()) if folder.is_dir() else []
-    check_choice("pretrained model", name, names)
+    files = sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir()) if folder.is_dir() else []
+    check_choice("pretrained model", name, [file for file in files if not file.endswith(SHARED)])
     with resources.as_file(folder / f"{name}.safetensors") as path:
-        return load_model(path)
+        model = load_model(path)
+    if name + SHARED not in files:
+        return model
+    with resources.as_file(folder / f"{name}{SHARED}.safetensors") as path:
+        return add_shared_fine(model, path)
 
 
 def _record(config: TryOnConfig, body: Body) -> dict[str, Any]:

@@ -1,0 +1,78 @@
+"""The R_fine of all fabrics as a file of its own, added to a model whose R_mean and R_smooth it was trained on."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+from jaxtyping import Array
+
+from tryon_jax.nets import store
+from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.tryon.model import ALL_FABRICS, TryOnModel, init_model
+
+_OWN = ("fabrics", "shared_fabrics", "fabric_functions", "fabric_numbers")
+"""Entries of the configuration in which the two may differ."""
+
+
+def save_shared_fine(
+    path: str | Path, model: TryOnModel, training: Mapping[str, Any] | None = None, half: bool = False
+) -> None:
+    """Write a model's R_fine of all fabrics, without the rest.
+
+    Args:
+        path: File to write.
+        model: The model.
+        training: Record of its training, plain JSON values.
+        half: Store the network's weights in half precision.
+
+    Raises:
+        ValueError: The model has none.
+    """
+    if ALL_FABRICS not in model.fine:
+        raise ValueError("this model has no R_fine of all fabrics")
+    record = {"config": store.config_record(model.config), "basis": _basis(model), "training": dict(training or {})}
+    store.save_store(path, {ALL_FABRICS: model.fine[ALL_FABRICS]}, record, half=half)
+
+
+def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
+    """The model with the R_fine of all fabrics of a file beside its own of single fabrics.
+
+    Args:
+        model: Whose R_mean and R_smooth the R_fine was trained on.
+        path: From `save_shared_fine`.
+
+    Raises:
+        FileNotFoundError: There is no such file.
+        ValueError: It is damaged, or was trained on another R_mean or R_smooth.
+    """
+    record = store.read_record(path)
+    found = dict(record.get("config", {}))
+    shared = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _OWN[1:]}
+    config: TryOnConfig = dataclasses.replace(model.config, **shared)
+    wanted = store.config_record(config) | {"fabrics": found.get("fabrics")}
+    faults = store.compare_records({"config": found}, {"config": wanted})
+    if record.get("basis") != _basis(model):
+        faults.append("R_mean and R_smooth are not those that it was trained on")
+    if faults:
+        raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(faults))
+    alone = dataclasses.replace(config, fabrics=())
+    built: list[Any] = []
+
+    def expected() -> dict[str, Array]:
+        stage = {ALL_FABRICS: init_model(jax.random.key(0), alone, body=model.body).fine[ALL_FABRICS]}
+        named = store.tree_names(stage)
+        built.append((jax.tree.structure(stage), list(named)))
+        return named
+
+    # Shapes only: nothing is initialised.
+    arrays = store.load_store(path, jax.eval_shape(expected), any_precision=True)
+    structure, names = built[0]
+    stage = jax.tree.unflatten(structure, [arrays[name] for name in names])
+    return dataclasses.replace(model, fine={**model.fine, **stage}, config=config)
+
+
+def _basis(model: TryOnModel) -> str:
+    """Fingerprint of what every R_fine builds on."""
+    return store.hash_arrays(*jax.tree.leaves((model.mean, model.smooth)))
