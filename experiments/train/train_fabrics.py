@@ -32,7 +32,7 @@ class Config:
     """Fabrics that are not trained on."""
     functions: int = 6
     """Fabric functions."""
-    steps: int = 12000
+    steps: int = 8000
     """Steps of R_fine's training."""
     collision_steps: int = 2000
     """Steps of the collision step; 0 leaves it out."""
