@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     )
     from tryon_jax.types import Body
     from tryon_jax.wear.session import Session
+    from tryon_jax.wear.stance import lower_arms
     from tryon_jax.wear.tailor import FitTarget, tailor
 
 __version__ = "0.1.0"
@@ -68,6 +69,7 @@ __all__ = [
     "load_model",
     "load_pretrained",
     "load_smpl",
+    "lower_arms",
     "mean_drape",
     "measure_body",
     "pose_body",
@@ -108,6 +110,7 @@ _HOMES = {
     "load_model": "tryon_jax.tryon",
     "load_pretrained": "tryon_jax.tryon",
     "load_smpl": "tryon_jax.body",
+    "lower_arms": "tryon_jax.wear.stance",
     "mean_drape": "tryon_jax.tryon",
     "measure_body": "tryon_jax.body",
     "pose_body": "tryon_jax.body",

@@ -80,8 +80,32 @@ def pose_body(
         vertices = vertices + jnp.einsum("p,pvd->vd", bend, jnp.asarray(body.posedirs), precision=EXACT)
 
     turned, posed = _chain(local, joints, body.parents)
+    linear, shift = _blend(jnp.asarray(body.lbs_weights), turned, joints, posed)
+    return jnp.einsum("vab,vb->va", linear, vertices, precision=EXACT) + shift, posed
+
+
+def skinning_motion(
+    body: Body, betas: Float[ArrayLike, " b"], pose: Float[ArrayLike, "J 3"], weights: Float[ArrayLike, "N J"]
+) -> tuple[Float[Array, "N 3 3"], Float[Array, "N 3"]]:
+    """Linear part and shift (metres) by which linear blend skinning moves points from the T-pose to `pose`.
+
+    Args:
+        body: The body.
+        betas: Its shape, standard deviations.
+        pose: As in `pose_body`.
+        weights: Skinning weights of the points; rows sum to 1.
+    """
+    _, joints = shape_body(body, betas)
+    turned, posed = _chain(jax.vmap(rotation_matrix)(jnp.asarray(pose)), joints, body.parents)
+    return _blend(jnp.asarray(weights), turned, joints, posed)
+
+
+def _blend(
+    weights: Float[Array, "N J"],
+    turned: Float[Array, "J 3 3"],
+    joints: Float[Array, "J 3"],
+    posed: Float[Array, "J 3"],
+) -> tuple[Float[Array, "N 3 3"], Float[Array, "N 3"]]:
     shifts = posed - jnp.einsum("jab,jb->ja", turned, joints, precision=EXACT)
-    weights = jnp.asarray(body.lbs_weights)
-    blended = jnp.einsum("vj,jab->vab", weights, turned, precision=EXACT)
-    skinned = jnp.einsum("vab,vb->va", blended, vertices, precision=EXACT)
-    return skinned + jnp.matmul(weights, shifts, precision=EXACT), posed
+    linear = jnp.einsum("nj,jab->nab", weights, turned, precision=EXACT)
+    return linear, jnp.matmul(weights, shifts, precision=EXACT)

@@ -18,6 +18,7 @@ from tryon_jax.wear.gate import judge_betas
 from tryon_jax.wear.own import OwnOptions
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
+from tryon_jax.wear.stance import lower_arms
 
 FAILURES = (ValueError, TypeError, OSError, FloatingPointError)
 """What goes wrong with one request and says nothing of the others."""
@@ -36,6 +37,8 @@ class Treatment:
     """Drape by simulation alone."""
     gate: bool = True
     """Refuse what is torn or lies in the body."""
+    arms: float = 0.0
+    """Degrees by which the arms are lowered, by simulation."""
     own: OwnOptions = field(default_factory=OwnOptions)
     seed: int = 0
 
@@ -115,6 +118,13 @@ def answer(
     dressed = session.judge(dressed, stopwatch=clock)
     if treatment.gate and dressed.verdict is not None:
         dressed.verdict.check(dressed.garment.label)
+    if treatment.arms:
+        progress = clock.progress("lowering the arms")
+        dressed = lower_arms(
+            session, dressed, treatment.arms, outside=treatment.push_out, stopwatch=clock, progress=progress
+        )
+        if treatment.gate and dressed.verdict is not None:
+            dressed.verdict.check(dressed.garment.label)
     if pose is not None:
         dressed = session.pose(dressed, pose, stopwatch=clock)
     return dressed, draped.remarks

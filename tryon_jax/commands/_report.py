@@ -19,6 +19,8 @@ def report_lines(dressed: DressedBody, remarks: Sequence[str] = ()) -> list[str]
     if body.known_betas is not body.betas:
         shape = " ".join(f"{beta:+.2f}" for beta in body.known_betas)
         lines.append(f"note     draped on the networks' body of betas {shape}, carried to {body.body.name}")
+    if dressed.arms:
+        lines.append(f"stance   arms {dressed.arms:g} degrees below the horizontal; the fit is that of the T-pose")
     if dressed.simulated is not None:
         lines.append(f"solved   {dressed.simulated.words()}")
     if dressed.pushed is not None:
@@ -36,6 +38,7 @@ def record(dressed: DressedBody, name: str) -> dict[str, Any]:
         "design": {} if design is None else design.as_dict(),
         "betas": [float(b) for b in dressed.body.betas],
         "fabric": dressed.fabric,
+        **({"arms": dressed.arms} if dressed.arms else {}),
         "vertices": len(dressed.vertices),
         **({} if dressed.verdict is None else dressed.verdict.as_dict()),
         **({} if dressed.fit is None else dressed.fit.as_dict()),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from tryon_jax.body import load_smpl
+from tryon_jax.body.stance import LOWEST
 from tryon_jax.checks import check_file, check_range
 from tryon_jax.commands._answer import Treatment, answer
 from tryon_jax.commands._batch import Batch
@@ -40,14 +41,16 @@ class Config:
     own: OwnOptions = field(default_factory=OwnOptions)
     pose: Path | None = None
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
+    arms: float = 0.0
+    """Lower the arms by so many degrees, at most 45, and let the simulator hang the cloth there: a few seconds."""
     smpl: Path | None = None
     """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     fabric: str | None = None
-    """Fabric, such as gray-interlock; the model's first when not given."""
+    """Fabric by name, see `tryon list`, or a fabric file (.toml); the model's first when not given."""
     refine: tuple[int, ...] | None = None
-    """Bring the learned drape to rest by simulation, or only as many steps as given; any of the ten fabrics."""
+    """Bring the learned drape to rest by simulation, or only as many steps as given."""
     simulate: bool = False
-    """Drape by simulation alone, without the networks; any of the ten fabrics."""
+    """Drape by simulation alone, without the networks."""
     gate: bool = True
     """Refuse a drape that is torn or lies in the body; with --no-gate it is written, and what is wrong is said."""
     push_out: bool = True
@@ -107,6 +110,7 @@ def main(config: Config) -> None:
         steps=sum(config.refine or ()) or None,
         simulate=config.simulate,
         gate=config.gate,
+        arms=config.arms,
         own=config.own,
         seed=config.seed,
     )
@@ -160,8 +164,12 @@ def _plan(config: Config, output: OutputOptions) -> tuple[list[Request], list[Ta
     if config.refine is not None and config.simulate:
         raise ValueError("give either --refine or --simulate: one starts from the learned drape, the other without")
     _area(config)
-    if config.smpl is not None and config.pose is not None:
-        raise ValueError("--pose is for the networks' body; leave it out with --smpl")
+    check_range("--arms", config.arms, 0.0, LOWEST, "degrees below the horizontal")
+    if config.arms and config.pose is not None:
+        raise ValueError("give either --arms or --pose: one is simulated, the other skinned")
+    for name, given in (("pose", config.pose is not None), ("arms", config.arms != 0)):
+        if config.smpl is not None and given:
+            raise ValueError(f"--{name} is for the networks' body; leave it out with --smpl")
     if config.morph_targets:
         _check_morph_targets(config)
     planned = _plan_one(config) if config.batch is None else _plan_batch(config, config.batch)
@@ -179,6 +187,7 @@ def _check_morph_targets(config: Config) -> None:
         raise ValueError(f"--morph-targets writes body and garment together; leave out --parts {config.parts}")
     for name, given in (
         ("pose", config.pose is not None),
+        ("arms", config.arms != 0),
         ("smpl", config.smpl is not None),
         ("refine", config.refine is not None),
         ("simulate", config.simulate),

@@ -64,7 +64,12 @@ class Obstacle:
     def surface(self, betas: Float[np.ndarray, " b"]) -> Surface:
         """Collision surface for `betas`."""
         skin = np.asarray(self._shape(jnp.asarray(betas, jnp.float32)))
-        return _move_surface(self._surface, jnp.asarray(self.collision.vertices(skin), jnp.float32))
+        return self.moved(self._surface, self.collision.vertices(skin))
+
+    @staticmethod
+    def moved(surface: Surface, vertices: Float[np.ndarray, "W 3"]) -> Surface:
+        """The surface with its vertices elsewhere, metres."""
+        return _move_surface(surface, jnp.asarray(vertices, jnp.float32))
 
     def skin(self, betas: Float[np.ndarray, " b"]) -> Float[np.ndarray, "V 3"]:
         """The body's own vertices for `betas`, metres."""

@@ -57,6 +57,20 @@ class CollisionBody:
         return np.concatenate([skin[self.keep], *[_tube(skin, mitten) for mitten in self.mittens]])
 
 
+def skinning_weights(collision: CollisionBody, weights: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "W J"]:
+    """Skinning weights of the collision vertices: those of the skin, and in each mitten the mean of its hand.
+
+    Args:
+        collision: Of the body.
+        weights: Of the body's own vertices.
+    """
+    tubes = [
+        np.broadcast_to(weights[m.hand].mean(axis=0), (len(RINGS) * len(m.loop) + 1, weights.shape[1]))
+        for m in collision.mittens
+    ]
+    return np.concatenate([weights[collision.keep], *tubes])
+
+
 def build_collision_body(body: Body) -> CollisionBody:
     """Collision surface of a body with SMPL's joints in T-pose; other bodies collide with their plain skin."""
     template, faces = np.asarray(body.v_template, float), np.asarray(body.faces)

@@ -69,6 +69,8 @@ class DressedBody:
     """What the simulator did, where it was asked."""
     verdict: Verdict | None = None
     """What the gate says, where it was asked."""
+    arms: float = 0.0
+    """Degrees that the arms are below the horizontal."""
 
     @property
     def faces(self) -> Int[np.ndarray, "F 3"]:

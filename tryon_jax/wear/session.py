@@ -155,7 +155,7 @@ class Session(SessionGarments):
                 smooth, fine = self._stages(garment, np.stack([body.known_betas for body in some]), fabric)
             if self.other is not None:
                 with watch.stage("carry over"):
-                    weights, pairs = self._skinning(garment), list(enumerate(some))
+                    weights, pairs = self.skinning(garment), list(enumerate(some))
                     smooth, fine = (
                         [self.other.transfer(stage[k], weights, b.known_betas, b.betas) for k, b in pairs]
                         for stage in (smooth, fine)
@@ -324,7 +324,7 @@ class Session(SessionGarments):
         if self.other is not None:
             raise ValueError("poses are for the networks' body; another body stays in T-pose")
         with (stopwatch or Stopwatch()).stage("pose"):
-            weights = self._skinning(dressed.garment)
+            weights = self.skinning(dressed.garment)
             posed, garment = pose_dressed(
                 self.model.body, dressed.body.vertices, dressed.vertices, weights, np.asarray(pose, np.float32)
             )

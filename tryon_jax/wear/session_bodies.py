@@ -90,7 +90,7 @@ class SessionBodies:
         """Whether the networks know bodies of this shape."""
         return judge_betas(body.known_betas, self.model.config.beta_ranges)
 
-    def _skinning(self, garment: PreparedGarment) -> Float[np.ndarray, "V J"]:
+    def skinning(self, garment: PreparedGarment) -> Float[np.ndarray, "V J"]:
         """Skinning weights of the garment on the networks' body."""
         nearest = closest_body_vertices(garment.garment.mean_vertices, self.model.body)
         return soft_skinning(np.asarray(self.model.body.lbs_weights)[nearest], garment.faces)

@@ -17,12 +17,15 @@ from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, dress, follow, start_state
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.solver import SolverSettings, StepReport
+from tryon_jax.physics.stance import StanceObstacle, lower_arms
 from tryon_jax.types import Body
 
 PIECE = 20
 """Steps between two looks at the progress."""
 DRESSING_STEPS = 400
 """Steps at most for a garment put on anew, or a drape brought to rest."""
+STANCE_STEPS = 60
+"""Steps at most for each stance on the way of the arms."""
 SHAPES = 6
 """Body shapes on the straight way from the mean body to the one that is asked for."""
 SHAPE_STEPS = 60
@@ -194,6 +197,49 @@ class Simulator:
                 done += int(drape.report.steps)
         drape = replace(drape, report=replace(drape.report, steps=jnp.asarray(done)))
         return self._result(panels, drape)
+
+    def lower_arms(
+        self,
+        vertices: Float[np.ndarray, "V 3"],
+        pattern: Pattern,
+        fabric: Fabric,
+        betas: Float[np.ndarray, " b"],
+        weights: Float[np.ndarray, "V J"],
+        degrees: float,
+        progress: Progress | None = None,
+    ) -> Simulated:
+        """A drape on a body in T-pose, followed while the arms come down, in contact with itself.
+
+        Args:
+            vertices: The drape, metres.
+            pattern: Its mesh and rest shape.
+            fabric: What it is made of.
+            betas: Shape of the body.
+            weights: Skinning weights of the vertices.
+            degrees: Of the arms below the horizontal.
+            progress: Told after each stance.
+
+        Raises:
+            NotSettled: It does not come to rest.
+            Diverged: The simulation diverged: positions or forces became infinite.
+        """
+        cloth = _cloth(pattern, len(vertices))
+        laid = self._laid(vertices, cloth, betas)
+        obstacle = StanceObstacle(self.obstacle, laid.betas)
+        each = replace(self.equilibrium, max_steps=STANCE_STEPS)
+        drape, steps = laid, 0
+        for stance in lower_arms(laid, weights, degrees, cloth, fabric, obstacle, self.settings, each):
+            drape = stance.drape
+            steps += int(drape.report.steps)
+            if progress is not None:
+                progress(steps, float(drape.report.residual), drape.vertices)
+        result = self._result(vertices, replace(drape, report=replace(drape.report, steps=jnp.asarray(steps))))
+        if result.residual > NEARLY * result.tolerance:
+            raise NotSettled(
+                f"the garment does not come to rest with arms {degrees:g} degrees below the horizontal (residual "
+                f"{result.residual:.3f}, at rest below {result.tolerance:g}): raise the arms, or take a looser garment"
+            )
+        return result
 
     def _laid(self, vertices: np.ndarray, cloth: Cloth, betas: np.ndarray) -> Drape:
         points = check_finite("vertices", np.asarray(vertices, np.float32))

@@ -1,0 +1,124 @@
+"""Lowering the arms under a garment: the drape is followed from the T-pose down, the cloth in contact with itself."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from tryon_jax.body.pose import skinning_motion
+from tryon_jax.body.stance import arms_pose
+from tryon_jax.contact.surface import Surface
+from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, relax
+from tryon_jax.physics.fabrics import Fabric
+from tryon_jax.physics.proxy import skinning_weights
+from tryon_jax.physics.self_contact import SelfContact
+from tryon_jax.physics.solver import SolverSettings
+
+STEP = 7.5
+"""Degrees between two stances of a descent."""
+_motion = jax.jit(skinning_motion)
+
+
+class StanceObstacle(Obstacle):
+    """The collision surface of one body shape in any stance; what `Obstacle` takes as betas is the angle of the arms.
+
+    Hands are made into mittens in T-pose, where they point along an axis, and skinned with the arm.
+    """
+
+    def __init__(self, obstacle: Obstacle, betas: Float[np.ndarray, " b"]) -> None:
+        """Take over the surface of another obstacle.
+
+        Args:
+            obstacle: Of the body.
+            betas: The body's shape, standard deviations.
+        """
+        self.body, self.collision = obstacle.body, obstacle.collision
+        self._surface = obstacle.surface(betas)
+        self._betas = np.asarray(betas, np.float32)
+        self._still = np.asarray(self._surface.vertices)
+        self._weights = skinning_weights(self.collision, np.asarray(self.body.lbs_weights))
+
+    def surface(self, betas: Float[np.ndarray, " b"]) -> Surface:
+        """Collision surface with the arms `betas[0]` degrees below the horizontal."""
+        return self.moved(self._surface, self.carry(self._still, self._weights, 0.0, float(betas[0])))
+
+    def carry(
+        self, points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"], before: float, after: float
+    ) -> Float[np.ndarray, "N 3"]:
+        """Points that are skinned from one stance to another, metres.
+
+        Args:
+            points: In the first stance, metres.
+            weights: Their skinning weights.
+            before: Angle of the arms, degrees.
+            after: The same in the other stance.
+        """
+        (linear, shift), (to_linear, to_shift) = self._at(weights, before), self._at(weights, after)
+        resting = np.linalg.solve(linear, (points - shift)[..., None])[..., 0]
+        return np.einsum("nab,nb->na", to_linear, resting) + to_shift
+
+    def _at(self, weights: Float[np.ndarray, "N J"], degrees: float) -> tuple[np.ndarray, np.ndarray]:
+        pose = arms_pose(self.body, degrees).astype(np.float32)
+        linear, shift = _motion(self.body, self._betas, pose, weights.astype(np.float32))
+        return np.asarray(linear, np.float64), np.asarray(shift, np.float64)
+
+
+@dataclass(frozen=True)
+class Stance:
+    """One drape of a descent."""
+
+    degrees: float
+    """Of the arms below the horizontal."""
+    drape: Drape
+
+
+def lower_arms(
+    drape: Drape,
+    weights: Float[np.ndarray, "V J"],
+    degrees: float,
+    cloth: Cloth,
+    fabric: Fabric,
+    obstacle: StanceObstacle,
+    settings: SolverSettings,
+    equilibrium: Equilibrium,
+    self_contact: SelfContact | None = None,
+) -> Iterator[Stance]:
+    """Drapes from the T-pose to a stance, `STEP` degrees or less apart: skinned along with the arms, then at rest.
+
+    Args:
+        drape: At rest in T-pose.
+        weights: Skinning weights of its vertices; rows sum to 1.
+        degrees: Of the arms in the last stance.
+        cloth: Rest state.
+        fabric: Material.
+        obstacle: The body.
+        settings: Of the solver.
+        equilibrium: When a drape counts as at rest; its steps are those of one stance.
+        self_contact: Contact of sleeves, trunk and folds with each other; the default settings when None.
+
+    Raises:
+        Diverged: Positions or forces became infinite.
+    """
+    count = max(1, int(np.ceil(degrees / STEP - 1e-9)))
+    contact = self_contact or SelfContact()
+    before = 0.0
+    for after in np.linspace(0.0, degrees, count + 1)[1:]:
+        start = obstacle.carry(drape.vertices.astype(np.float64), weights, before, float(after))
+        slip = np.asarray(drape.state.slip)[: drape.num_vertices]
+        drape = relax(
+            start,
+            slip,
+            np.array([after]),
+            cloth,
+            fabric,
+            obstacle,
+            closing(settings),
+            equilibrium,
+            equilibrium.max_steps,
+            contact,
+        )
+        before = float(after)
+        yield Stance(before, drape)

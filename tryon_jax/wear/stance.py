@@ -1,0 +1,92 @@
+"""A dressed body that lowers its arms: no longer a T-pose, and folds that come with it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tryon_jax.body.pose import pose_body
+from tryon_jax.body.stance import arms_pose
+from tryon_jax.physics.fabrics import load_fabric
+from tryon_jax.wear.dressed import DressedBody
+from tryon_jax.wear.gate import judge
+from tryon_jax.wear.session import Session
+from tryon_jax.wear.simulate import Progress
+from tryon_jax.wear.stopwatch import Stopwatch
+
+_EXACT = 0.05
+"""Distances from the body below this are exact, metres."""
+
+
+def lower_arms(
+    session: Session,
+    dressed: DressedBody,
+    degrees: float,
+    *,
+    outside: bool = True,
+    stopwatch: Stopwatch | None = None,
+    progress: Progress | None = None,
+) -> DressedBody:
+    """The same body and garment with the arms down, by simulation from the drape in T-pose.
+
+    The learned drape stands in T-pose. From there the arms come down in small steps; the cloth is skinned along and
+    brought to rest after each, in contact with the body and with itself. A few seconds. The fit stays that of the
+    T-pose, in which bodies are measured.
+
+    Args:
+        session: What dressed the body.
+        dressed: In T-pose: from `drape`, `refine`, `push_out` or `judge`.
+        degrees: Of the arms below the horizontal, 0 to `body.stance.LOWEST`.
+        outside: Push what is left inside the body out of it.
+        stopwatch: Takes the time of "arms".
+        progress: Told after each step of the arms.
+
+    Returns:
+        With its verdict.
+
+    Raises:
+        ValueError: An angle out of range, arms that are down already, or another body than the networks'.
+        NotSettled: The cloth finds no rest there.
+        Diverged: The simulation diverged.
+    """
+    if session.other is not None:
+        raise ValueError("arms are lowered on the networks' body; another body stays in T-pose")
+    if dressed.arms:
+        raise ValueError(f"the arms are {dressed.arms:g} degrees below the horizontal already: start from the T-pose")
+    pose = arms_pose(session.body, degrees)
+    watch = stopwatch or Stopwatch()
+    with watch.stage("arms"):
+        result = session.simulator.lower_arms(
+            dressed.vertices,
+            dressed.garment.pattern,
+            load_fabric(dressed.fabric),
+            dressed.body.betas,
+            session.skinning(dressed.garment),
+            degrees,
+            progress,
+        )
+        skin = np.asarray(pose_body(session.body, dressed.body.betas, pose)[0])
+    standing = replace(
+        dressed,
+        body=replace(dressed.body, vertices=skin),
+        vertices=result.vertices,
+        simulated=result,
+        pushed=None,
+        verdict=None,
+        arms=degrees,
+    )
+    if outside:
+        standing = replace(session.push_out(standing, stopwatch=watch), fit=dressed.fit)
+    with watch.stage("gate"):
+        garment = standing.garment
+        verdict = judge(
+            standing.vertices,
+            garment.faces,
+            garment.uv,
+            garment.faces_uv,
+            session.body,
+            skin,
+            mean=garment.garment.mean_vertices,
+            pushed=standing.pushed,
+            clearance=standing.body.surface.closest(standing.vertices.astype(np.float64), exact_below=_EXACT).distance,
+        )
+    return replace(standing, verdict=verdict)
