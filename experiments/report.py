@@ -94,6 +94,10 @@ SECTIONS = {
         "Any fabric",
         "One R_fine that is told a fabric's measured numbers, in place of one for each fabric as in the paper.",
     ),
+    "stance": (
+        "Arms down",
+        "Nobody stands in a T-pose, in which the paper drapes. The arms come down by simulation.",
+    ),
     "made_to_measure": (
         "Made to measure",
         "A pattern for one body, from the ease and the hem that are asked for. The paper has no such experiment.",

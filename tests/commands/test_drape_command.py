@@ -15,6 +15,7 @@ from tryon_jax.commands._request import resolve_betas
 from tryon_jax.garment import load_design_space
 from tryon_jax.tryon import save_model
 from tryon_jax.wear.session import Session
+from tryon_jax.wear.simulate import Simulated, Simulator
 
 
 @pytest.fixture(scope="module")
@@ -143,6 +144,28 @@ def test_a_pose_turns_body_and_garment(weights, tmp_path):
         for part in ("body", "garment"):
             x, y, z = before[f"{part}_vertices"].T
             np.testing.assert_allclose(after[f"{part}_vertices"], np.stack([z, y, -x], axis=1), atol=1e-5)
+
+
+def test_arms_go_down_and_the_report_says_so(weights, tmp_path, capsys, monkeypatch):
+    def lower(_, vertices, *_more):
+        return Simulated(vertices, 0.005, 0.01, 60, np.zeros(len(vertices)))
+
+    monkeypatch.setattr(Simulator, "lower_arms", lower)
+    out = tmp_path / "standing.npz"
+    command = ["drape", "--weights", weights, "--design", "tank", "--no-gate", "--no-push-out", *COARSE]
+    assert main([*command, "--arms", "30", "--out", str(out), "--report", str(tmp_path / "fit.json")]) == 0
+    assert "stance   arms 30 degrees below the horizontal" in capsys.readouterr().out
+    assert json.loads((tmp_path / "fit.json").read_text())["arms"] == 30.0
+    with np.load(out) as arrays:
+        hands = np.abs(arrays["body_vertices"][:, 0]) > 0.6
+        assert arrays["body_vertices"][hands, 1].max() < 0.3, "hands hang below the shoulders"
+    for options, words in (
+        (["--arms", "80"], "--arms = 80"),
+        (["--arms", "10", "--pose", "pose.npz"], "either --arms or --pose"),
+        (["--arms", "10", "--smpl", "body.npz"], "--arms is for the networks' body"),
+    ):
+        assert main([*command, *options]) == 1
+        assert words in capsys.readouterr().err
 
 
 def test_maps_colour_the_cloth(weights, tmp_path):

@@ -95,6 +95,7 @@ class Controls:
         with gui.add_folder("Compare with a simulation", expand_by_default=False):
             self.refine = gui.add_button("refine this drape", hint="Brings the learned drape to rest by simulation.")
             self.simulate = gui.add_button("simulate this garment", hint="Dresses it anew, without the networks.")
+            self.lower_arms = gui.add_button("lower the arms", hint="The drape follows by simulation.")
             self.cancel = gui.add_button("cancel", visible=False)
             self.progress = gui.add_progress_bar(0.0, visible=False)
             self.outcome = gui.add_markdown("")

@@ -24,10 +24,15 @@ from tryon_jax.viewer.downloads import (
 )
 from tryon_jax.viewer.latest import Latest
 from tryon_jax.viewer.page_model import LAYERS, PageModel, Result, ShownMesh, UploadedMesh
-from tryon_jax.viewer.simulation import Simulation
+from tryon_jax.viewer.simulation import Kind, Simulation
 from tryon_jax.viewer.upload import read_upload, refuse_large_uploads
 from tryon_jax.wear.dressed import DressedBody
 
+_BEGUN: dict[Kind, str] = {
+    "refine": "bringing the drape to rest …",
+    "dress": "dressing the mean body …",
+    "arms": "lowering the arms …",
+}
 # Metres: where the simulation stands, and half the side of the floor.
 _BESIDE, _FLOOR = 1.9, 3.0
 _SIMULATED = Material(color=(0.69, 0.44, 0.35), roughness=0.9, double_sided=True)
@@ -125,8 +130,9 @@ class Page:
             self._on_change(handle, self._draw)
         controls.upload.on_upload(lambda event: self._guarded(self._take_upload, event.target.value))
         self._on_click(controls.to_pattern, self._wear, None)
-        self._on_click(controls.simulate, self._start_simulation, False)
-        self._on_click(controls.refine, self._start_simulation, True)
+        self._on_click(controls.refine, self._start_simulation, "refine")
+        self._on_click(controls.simulate, self._start_simulation, "dress")
+        self._on_click(controls.lower_arms, self._start_simulation, "arms")
         self._on_click(controls.cancel, self._cancel_simulation)
         makers: tuple[tuple[str, Callable[[DressedBody], bytes]], ...] = (
             ("garment.glb", lambda dressed: mesh_file(dressed, ".glb")),
@@ -321,18 +327,18 @@ class Page:
 
     # Simulation
 
-    def _start_simulation(self, refine: bool) -> None:
+    def _start_simulation(self, kind: Kind) -> None:
         if self.result is None or (self._simulation is not None and self._simulation.running):
             return
-        self.controls.simulate.disabled = self.controls.refine.disabled = True
+        self._enable_simulation(False)
         self.controls.cancel.visible = self.controls.progress.visible = True
         self.controls.progress.value = 0.0
-        self.controls.outcome.content = "bringing the drape to rest …" if refine else "dressing the mean body …"
+        self.controls.outcome.content = _BEGUN[kind]
         # Step back so that both bodies are seen.
         self.client.camera.position = (_BESIDE / 2, 0.2, 4.6)
         self.client.camera.look_at = (_BESIDE / 2, -0.05, 0.0)
         self._simulation = Simulation(
-            self.model.session, self.result, self._simulation_step, self._simulation_end, refine=refine
+            self.model.session, self.result, self._simulation_step, self._simulation_end, kind
         )
 
     def _cancel_simulation(self) -> None:
@@ -341,14 +347,17 @@ class Page:
             self.controls.outcome.content = "stopping …"
             self._simulation.cancel()
 
-    def _simulation_step(self, share: float, mesh: ShownMesh) -> None:
+    def _simulation_step(self, share: float, garment: ShownMesh, body: ShownMesh) -> None:
         self.controls.progress.value = 100 * share
         with self._drawing:
-            self._show("simulation", mesh, _SIMULATED, None, position=(_BESIDE, 0.0, 0.0))
-            if self.result is not None:
-                self._show("simulated body", self.result.body, SKIN, None, position=(_BESIDE, 0.0, 0.0))
+            self._show("simulation", garment, _SIMULATED, None, position=(_BESIDE, 0.0, 0.0))
+            self._show("simulated body", body, SKIN, None, position=(_BESIDE, 0.0, 0.0))
+
+    def _enable_simulation(self, enabled: bool) -> None:
+        for button in (self.controls.refine, self.controls.simulate, self.controls.lower_arms):
+            button.disabled = not enabled
 
     def _simulation_end(self, words: str) -> None:
         self.controls.outcome.content = words
-        self.controls.simulate.disabled = self.controls.refine.disabled = False
+        self._enable_simulation(True)
         self.controls.cancel.visible = self.controls.progress.visible = False

@@ -3,15 +3,24 @@
 import threading
 import time
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
+from tryon_jax.body import pose_body
+from tryon_jax.body.stance import LOWEST, arms_pose
+from tryon_jax.physics.stance import STEP
 from tryon_jax.viewer.page_model import Result, ShownMesh
 from tryon_jax.wear.session import Session
+from tryon_jax.wear.stance import lower_arms
 
 _DRESSING = 500
 _REFINING = 200
 """Steps after which each is about done, for the progress bar."""
+
+
+Kind = Literal["refine", "dress", "arms"]
+"""Bring the drape to rest; dress the garment anew, from its panels; lower the arms under the drape."""
 
 
 class _Cancelled(Exception):
@@ -25,26 +34,25 @@ class Simulation:
         self,
         session: Session,
         result: Result,
-        on_step: Callable[[float, ShownMesh], None],
+        on_step: Callable[[float, ShownMesh, ShownMesh], None],
         on_end: Callable[[str], None],
-        *,
-        refine: bool,
+        kind: Kind,
     ) -> None:
         """Start it.
 
         Args:
             session: What simulates.
             result: The drape that is shown.
-            on_step: Told the progress and what to show after some steps.
+            on_step: Told the progress, the garment and the body to show after some steps.
             on_end: Told in words how it ended.
-            refine: Bring the drape to rest; otherwise the garment is dressed anew, from its panels.
+            kind: What to do.
         """
         self._session = session
         self._dressed = result.dressed
         self._on_step = on_step
         self._on_end = on_end
         self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(refine,), daemon=True)
+        self._thread = threading.Thread(target=self._run, args=(kind,), daemon=True)
         self._thread.start()
 
     @property
@@ -60,9 +68,10 @@ class Simulation:
         """Wait for the end."""
         self._thread.join(seconds)
 
-    def _run(self, refine: bool) -> None:
+    def _run(self, kind: Kind) -> None:
+        work = {"refine": self._refine, "dress": self._dress, "arms": self._lower_arms}
         try:
-            words = self._refine() if refine else self._simulate()
+            words = work[kind]()
         except _Cancelled:
             words = "cancelled"
         except Exception as error:  # Said in the page, whatever it was.
@@ -76,7 +85,23 @@ class Simulation:
         assert refined.simulated is not None
         return f"refined in {time.perf_counter() - start:.1f} s: {refined.simulated.words()}"
 
-    def _simulate(self) -> str:
+    def _lower_arms(self) -> str:
+        start, shown = time.perf_counter(), self._dressed
+        count = round(LOWEST / STEP)
+        stances = iter(range(1, count + 1))
+
+        def progress(_: int, __: float, vertices: np.ndarray) -> None:
+            self._stop_if_cancelled()
+            done = next(stances)
+            pose = arms_pose(self._session.body, LOWEST * done / count).astype(np.float32)
+            skin, _joints = pose_body(self._session.body, shown.body.betas, pose)
+            self._tell(done / count, vertices, np.asarray(skin))
+
+        standing = lower_arms(self._session, shown, LOWEST, progress=progress)
+        self._tell(1.0, standing.vertices, standing.body.vertices)
+        return f"arms {LOWEST:g} degrees lower after {time.perf_counter() - start:.1f} s"
+
+    def _dress(self) -> str:
         start, shown = time.perf_counter(), self._dressed
         self._tell(0.0, shown.garment.start())
         simulated = self._session.simulate(
@@ -91,11 +116,16 @@ class Simulation:
         """Shows where the cloth is after each piece of steps, of which there will be `about`."""
 
         def progress(steps: int, _: float, vertices: np.ndarray) -> None:
-            if self._cancelled.is_set():
-                raise _Cancelled
+            self._stop_if_cancelled()
             self._tell(min(1.0, steps / about), vertices)
 
         return progress
 
-    def _tell(self, share: float, vertices: np.ndarray) -> None:
-        self._on_step(share, ShownMesh(vertices, self._dressed.faces))
+    def _stop_if_cancelled(self) -> None:
+        if self._cancelled.is_set():
+            raise _Cancelled
+
+    def _tell(self, share: float, vertices: np.ndarray, skin: np.ndarray | None = None) -> None:
+        body = self._dressed.body
+        shown = ShownMesh(body.vertices if skin is None else skin, body.faces)
+        self._on_step(share, ShownMesh(vertices, self._dressed.faces), shown)
