@@ -3,13 +3,14 @@
 Weights that tear a garment on any body of a wide range are refused: mean errors do not show one collapsed collar.
 
 python -m tools.ship_weights runs/small
+python -m tools.ship_weights runs/fabrics small-fabrics
 """
 
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +21,22 @@ from tqdm import tqdm
 from tryon_jax.garment import Design, remesh
 from tryon_jax.metrics import edge_strain
 from tryon_jax.nets.store import read_record
+from tryon_jax.physics.fabric_numbers import fabric_numbers
+from tryon_jax.physics.fabrics import fabric_names, load_fabric
 from tryon_jax.training.collisions import random_betas
 from tryon_jax.training.recipes import model_path
-from tryon_jax.tryon import TryOnModel, config_space, drape, load_model, prepare, prepare_mesh, save_model
+from tryon_jax.tryon import (
+    Garment,
+    TryOnModel,
+    config_space,
+    drape,
+    load_model,
+    prepare,
+    prepare_mesh,
+    save_model,
+)
+from tryon_jax.tryon.model_file import SHARED
+from tryon_jax.tryon.shared_fine import add_shared_fine, save_shared_fine
 
 LIMIT = 1e-4
 """Metres."""
@@ -35,7 +49,20 @@ RANDOM_DESIGNS = 200
 DESIGNS = ("tank", "tshirt", "sweater", "dress", "maxi-dress")
 SHAPES = np.array([[0.0, 0.0], [2.5, 0.5], [-2.5, -0.5], [0.5, 1.8], [-0.5, -1.8]], np.float32)
 MODELS = Path("tryon_jax/data/models")
-_drape = jax.jit(drape, static_argnames="fabric")
+_by_name, _by_numbers = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
+
+
+def fabrics_of(model: TryOnModel) -> dict[str, str | Float[np.ndarray, " F"]]:
+    """What to drape in: the fabrics of the networks of single ones, and every embedded one by its numbers."""
+    found: dict[str, str | Float[np.ndarray, " F"]] = {name: name for name in model.config.fabrics}
+    if model.config.shared_fabrics:
+        found |= {f"{name} by numbers": np.asarray(fabric_numbers(load_fabric(name))) for name in fabric_names()}
+    return found
+
+
+def _drape(model: TryOnModel, garment: Garment, betas: Any, fabric: str | Float[np.ndarray, " F"]) -> jax.Array:
+    run = _by_name if isinstance(fabric, str) else _by_numbers
+    return run(model, garment, betas, fabric=fabric)
 
 
 def largest_change(one: TryOnModel, other: TryOnModel) -> float:
@@ -44,7 +71,7 @@ def largest_change(one: TryOnModel, other: TryOnModel) -> float:
     shapes = jnp.asarray(SHAPES[:, : one.config.num_betas])
     for design in DESIGNS:
         garment = prepare(one, design)
-        for fabric in one.config.fabrics:
+        for fabric in fabrics_of(one).values():
             difference = garment.unpad(_drape(one, garment, shapes, fabric=fabric)) - garment.unpad(
                 _drape(other, garment, shapes, fabric=fabric)
             )
@@ -73,11 +100,11 @@ def largest_strain(model: TryOnModel, design: Design, seed: int, betas: Float[np
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=seed)
     garment = prepare_mesh(model, mesh)
     worst = Tear(-1.0, "")
-    for fabric in model.config.fabrics:
+    for name, fabric in fabrics_of(model).items():
         drapes = garment.unpad(_drape(model, garment, betas, fabric=fabric))
         strains = [float(edge_strain(row, mesh.faces, mesh.uv, mesh.faces_uv).max()) for row in drapes]
         k = int(np.argmax(strains))
-        worst = max(worst, Tear(strains[k], f"{design}, topology {seed}, {fabric}, betas {betas[k]}"))
+        worst = max(worst, Tear(strains[k], f"{design}, topology {seed}, {name}, betas {betas[k]}"))
     return worst
 
 
@@ -109,13 +136,15 @@ def main(run: Path, name: str = "small") -> None:
         raise ValueError(
             f"{source} tears {len(torn)} garments, the first: {torn[0].where}, strain {torn[0].strain:.2f}"
         )
+    # The R_fine of all fabrics lies beside the model whose R_mean and R_smooth it has.
+    save = save_shared_fine if name.endswith(SHARED) else save_model
     with tempfile.TemporaryDirectory() as folder:
         trial = Path(folder) / "half.safetensors"
-        save_model(trial, model, record, half=True)
-        change = largest_change(model, load_model(trial))
+        save(trial, model, record, half=True)
+        change = largest_change(model, add_shared_fine(model, trial) if name.endswith(SHARED) else load_model(trial))
     half = change < LIMIT
     path = MODELS / f"{name}.safetensors"
-    save_model(path, model, record, half=half)
+    save(path, model, record, half=half)
     print(f"half precision moves vertices by {1e3 * change:.3f} mm at most: {'used' if half else 'not used'}")
     print(f"wrote {path}, {path.stat().st_size / 1e6:.2f} MB")
 

@@ -22,6 +22,7 @@ from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.posing import pose_dressed
 from tryon_jax.wear.session import Session
+from tryon_jax.wear.simulate import NotSettled
 
 FIELDS = (0, 2, 4, 8)
 """Numbers K of fields that ranks are told for."""
@@ -56,13 +57,17 @@ class Descent:
 
 def main(config: Config) -> None:
     """Follow every garment on every body, and draw one of each design."""
-    session, descents = Session(one_size=True), []
+    session, descents, restless = Session(one_size=True), [], []
     jobs = [(d, f, b) for d in config.designs for f in config.fabrics for b in config.betas]
     for design, fabric, betas in tqdm(jobs, desc="descents", mininterval=2):
         dressed = session.drape(session.prepare(design), betas, fabric=fabric)
-        descents.append(follow(session, session.refine(dressed), fabric))
+        try:
+            descents.append(follow(session, session.refine(dressed), fabric))
+        except NotSettled:
+            restless.append(f"{design} in {fabric} on {betas}")
     results = {
         "descents": len(descents),
+        "restless": restless,
         "lowest": LOWEST,
         "stances": _average([d.rows for d in descents]),
         "rank": ranks(descents),
@@ -151,8 +156,11 @@ def _draw(config: Config, session: Session, descents: Sequence[Descent]) -> None
 
 def markdown(results: Mapping[str, Any]) -> list[str]:
     """One row for each stance, and the ranks."""
+    restless = results["restless"]
     lines = [
-        f"{results['descents']} descents of the arms, from refined drapes in T-pose. *Skinned*: the T-pose drape moved "
+        f"{results['descents']} descents of the arms, from refined drapes in T-pose; "
+        f"{len(restless)} more found no rest and were refused{': ' if restless else ''}{'; '.join(restless)}. "
+        "*Skinned*: the T-pose drape moved "
         "with the nearest skin, as `--pose` does. *Simulated*: `--arms`. Inside: share of the cloth inside the posed "
         "body, before any push-out. Crossed: share of triangles that pass through others.",
         "",

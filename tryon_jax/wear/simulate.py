@@ -24,7 +24,7 @@ PIECE = 20
 """Steps between two looks at the progress."""
 DRESSING_STEPS = 400
 """Steps at most for a garment put on anew, or a drape brought to rest."""
-STANCE_STEPS = 60
+STANCE_STEPS = 200
 """Steps at most for each stance on the way of the arms."""
 SHAPES = 6
 """Body shapes on the straight way from the mean body to the one that is asked for."""
