@@ -5,7 +5,6 @@ import hashlib
 import importlib
 import os
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from experiments.shared.record import RESULTS, read_result
 from tryon_jax.cli import find_commands
 from tryon_jax.files.atomic import write_text
 from tryon_jax.training.recipes import chain
+from tryon_jax.tryon.model_file import SHARED, pretrained_path
 
 SECTIONS = {
     "dataset_report": (
@@ -155,17 +155,15 @@ def section(name: str, title: str, about: str, record: dict[str, Any], config: C
             continue
         link = Path(os.path.relpath(picture, config.out.parent)).as_posix()
         lines += ["", f"![{title}]({link})"]
-    if "model" in record and record["model"]["sha256"] != shipped_checksum():
+    if "model" in record and record["model"]["sha256"] not in shipped_checksums():
         lines += ["", "*Measured with other weights than those that come with the package now.*"]
     return [*lines, "", f"<sub>{provenance(record)}</sub>", ""]
 
 
 @functools.cache
-def shipped_checksum() -> str:
-    """SHA-256 of the weights in the package."""
-    return hashlib.sha256(
-        (resources.files("tryon_jax") / "data" / "models" / "small.safetensors").read_bytes()
-    ).hexdigest()
+def shipped_checksums() -> tuple[str, ...]:
+    """SHA-256 of the weights in the package: of single fabrics, and of all."""
+    return tuple(hashlib.sha256(pretrained_path(name).read_bytes()).hexdigest() for name in ("small", f"small{SHARED}"))
 
 
 def provenance(record: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ from tryon_jax.training.garments import SimulatedGarment, load_simulated, prepar
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import Predictor
 from tryon_jax.tryon import ALL_FABRICS, TryOnModel, fine_of, load_pretrained
+from tryon_jax.tryon.model_file import SHARED, pretrained_path
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,8 @@ class Config:
 
     data: Path = field(default_factory=lambda: default_root().with_name("dataset-fabrics"))
     """Folder of a dataset of many fabrics."""
-    run: Path = Path("runs/fabrics")
-    """Folder of the run."""
+    run: Path | None = None
+    """Folder of the run; the weights that come with the package when left out."""
     out: Path = RESULTS
     """Folder for the record and the picture."""
     shapes: int = 0
@@ -75,9 +76,12 @@ class Fabrics:
 def main(config: Config) -> None:
     """Measure every fabric on unseen designs, and draw one garment in all."""
     fabrics = read_config(config.data).fabrics
-    weights = model_path(config.run)
-    model = open_model(weights, config.untrained, (ALL_FABRICS,))
     own = load_pretrained("small")
+    if config.run is None:
+        weights, model = pretrained_path(f"small{SHARED}"), own
+    else:
+        weights = model_path(config.run)
+        model = open_model(weights, config.untrained, (ALL_FABRICS,))
     names = case_names(config.data, load_manifest(), config.garments)["unseen design"]
     if not names:
         raise ValueError("no unseen design is simulated: run `simulate --fabrics all --part unseen --rays 4` first")

@@ -96,15 +96,16 @@ def load_pretrained(name: str = "small") -> TryOnModel:
     Raises:
         ValueError: there is no model of that name.
     """
-    folder = resources.files("tryon_jax") / "data" / "models"
-    files = sorted(entry.name.removesuffix(".safetensors") for entry in folder.iterdir()) if folder.is_dir() else []
+    folder = pretrained_path(name).parent
+    files = sorted(path.stem for path in folder.glob("*.safetensors"))
     check_choice("pretrained model", name, [file for file in files if not file.endswith(SHARED)])
-    with resources.as_file(folder / f"{name}.safetensors") as path:
-        model = load_model(path)
-    if name + SHARED not in files:
-        return model
-    with resources.as_file(folder / f"{name}{SHARED}.safetensors") as path:
-        return add_shared_fine(model, path)
+    model = load_model(pretrained_path(name))
+    return add_shared_fine(model, pretrained_path(name + SHARED)) if name + SHARED in files else model
+
+
+def pretrained_path(name: str) -> Path:
+    """Where the package keeps weights of this name."""
+    return Path(str(resources.files("tryon_jax") / "data" / "models" / f"{name}.safetensors"))
 
 
 def _record(config: TryOnConfig, body: Body) -> dict[str, Any]:
