@@ -1,9 +1,13 @@
 """Settings of every test: strict shapes, strict broadcasting, reproducible properties."""
 
+import atexit
 import gc
 import os
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import hypothesis
 import jax
@@ -17,7 +21,18 @@ os.environ.pop("TRYON_JAX_CACHE", None)
 # Before anything of the library is imported: every jaxtyping annotation in it becomes a runtime check.
 install_import_hook("tryon_jax", "runtime_types.check")
 
+from tryon_jax.files.compile_cache import keep_in  # noqa: E402
+
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# Most of the time of the tests is compilation. What one test compiles, later tests and the other processes of the same
+# run find in a folder: that of TRYON_TEST_PROGRAMS, or one that goes away with the process that made it.
+if "TRYON_TEST_PROGRAMS" not in os.environ:
+    os.environ["TRYON_TEST_PROGRAMS"] = tempfile.mkdtemp(prefix="tryon_test_programs_")
+    atexit.register(shutil.rmtree, os.environ["TRYON_TEST_PROGRAMS"], ignore_errors=True)
+keep_in(Path(os.environ["TRYON_TEST_PROGRAMS"]))
+# Short compilations are many.
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
 
 # The same examples in every run; the first call of a property may compile, so it has no deadline.
 hypothesis.settings.register_profile("repeatable", derandomize=True, deadline=None, max_examples=30, database=None)
