@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from tests.graph_meshes import tube
-from tryon_jax.contact.push_out import _least_move, _multipliers, push_out, sample_matrix
+from tryon_jax.contact.push_out import EXACT_BELOW, _least_move, _multipliers, push_out, sample_matrix
 from tryon_jax.contact.signed_distance import ClosedSurface
 
 
@@ -62,6 +62,19 @@ def test_what_it_tells_is_what_a_full_measurement_finds(ball):
         assert result.deepest == pytest.approx(max(0.0, -distance.min()), abs=1e-12)
         assert result.rounds <= rounds
     assert result.is_outside
+
+
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+@pytest.mark.parametrize("radius", [0.19, 0.22, 0.25])
+def test_distances_are_those_of_the_very_vertices(ball, precision, radius):
+    """In the precision that they are handed out in, whether they moved or not."""
+    vertices, faces = tube(30, 24, radius=radius)
+    result = push_out(vertices.astype(precision), faces, ball)
+    assert result.vertices.dtype == precision
+    expected = ball.closest(result.vertices.astype(np.float64)).distance
+    near = expected < EXACT_BELOW
+    np.testing.assert_allclose(result.distance[near], expected[near], rtol=0, atol=1e-12)
+    assert (result.distance >= np.minimum(expected, EXACT_BELOW) - 1e-12).all()
 
 
 @pytest.mark.parametrize("depth", [0.001, 0.02])

@@ -19,6 +19,9 @@ from tryon_jax.mesh.topology import unique_edges
 CLEARANCE = 0.002
 """Default distance that is kept from the body, metres: more than the body bulges between samples 1 cm apart."""
 
+EXACT_BELOW = 0.03
+"""Distances of vertices are exact up to this, metres; larger ones no report shows."""
+
 _NEAR = 0.006
 """Samples that are farther from where they should be than this take no part in a round, metres."""
 _INNER_STEPS = 60
@@ -31,7 +34,10 @@ class PushedOut:
     """A drape outside the body, with the evidence."""
 
     vertices: Float[np.ndarray, "V 3"]
-    """Positions after the push, metres."""
+    """Positions after the push, metres, in the precision of those before."""
+    distance: Float[np.ndarray, " V"]
+    """Distance of each of these from the body, metres, negative inside; exact up to `EXACT_BELOW`, beyond it may be a
+    little too large."""
     inside_before: float
     """Share of the samples that were inside the body."""
     deepest_before: float
@@ -81,6 +87,7 @@ def push_out(
     Raises:
         ValueError: for vertices that are not finite, or a clearance outside 0 to 5 cm.
     """
+    precision = np.result_type(vertices, np.float32)
     points = check_finite("vertices", vertices).astype(np.float64)
     check_range("clearance", clearance, 0.0, 0.05, "m")
     start = points.copy()
@@ -91,20 +98,24 @@ def push_out(
     reach = aim + _NEAR
     found = body.closest(at, exact_below=reach)
     distance, away = found.distance, found.away
+    distance[: len(points)] = body.closest(points, exact_below=EXACT_BELOW).distance
     before = distance.copy()
     rounds = 0
     while rounds < max_rounds and (distance < clearance).any():
         near = np.flatnonzero(distance < reach)
-        points = points + _least_move(samples[near], away[near], aim - distance[near])
+        move = _least_move(samples[near], away[near], aim - distance[near])
+        # What is measured is what is handed out.
+        points = (points + move).astype(precision).astype(np.float64)
         rounds += 1
         moved = samples @ points
         # Few samples move, and what has not moved is as far from the body as before.
         stale = np.flatnonzero((moved != at).any(axis=1))
-        found = body.closest(moved[stale], exact_below=reach)
+        found = body.closest(moved[stale], exact_below=EXACT_BELOW)
         distance[stale], away[stale] = found.distance, found.away
         at = moved
     return PushedOut(
-        vertices=points,
+        vertices=points.astype(precision),
+        distance=distance[: len(points)].copy(),
         inside_before=float((before < 0).mean()),
         deepest_before=float(max(0.0, -before.min())),
         inside=float((distance < 0).mean()),
