@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tryon_jax.mesh.closest_points import MeshSearch
+from tryon_jax.mesh.points_beside import PointsBeside
 from tryon_jax.mesh.topology import directed_edges, edge_keys
 
 # Barycentric weights below this are zero: the closest point is on an edge or a vertex.
@@ -72,15 +73,18 @@ class ClosedSurface:
         self._edge_normals = edge[inverse].reshape(3, len(self.faces), 3).swapaxes(0, 1)
         self._search = MeshSearch(self.vertices, self.faces, _PART_SIZE)
 
-    def closest(self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf) -> SignedDistances:
+    def closest(
+        self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf, beside: PointsBeside | None = None
+    ) -> SignedDistances:
         """Signed distance and closest point of each point.
 
         Args:
             points: Metres, finite.
             exact_below: Distances whose size is above this many metres may be too large; asking for less is faster.
+            beside: As in `MeshSearch.closest`.
         """
         points = np.asarray(points, np.float64)
-        found = self._search.closest(points, exact_below)
+        found = self._search.closest(points, exact_below, beside)
         offset = points - found.position
         pseudo = self._pseudonormals(found.face, found.weights)
         sign = np.where(np.einsum("pc,pc->p", offset, pseudo) < 0, -1.0, 1.0)

@@ -11,14 +11,18 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from tryon_jax.mesh.discs import Discs
+from tryon_jax.mesh.points_beside import PointsBeside
 from tryon_jax.mesh.triangles import Triangles
 
-# Pairs of a point and a part that are held at a time, about.
-_PAIRS = 1_000_000
+# Pairs of a point and a part that are held at a time, about: their arrays stay in the processor's cache.
+_PAIRS = 25_000
 # Points whose neighbours are counted to guess how many pairs there will be.
 _PROBES = 64
 # Points are searched together when their radii differ by less than this factor.
 _SIMILAR = 1.25
+# Distances up to this many times the largest reach are searched with one radius for all points.
+_AT_ONCE = 2.0
 # Parts along an edge into which a triangle is cut at most.
 _MOST_CUTS = 16
 
@@ -55,23 +59,29 @@ class MeshSearch:
         centres, self._part_of, self._reach = _parts(self._corners, part_size)
         self._most = self._reach.max()
         self._centres = cKDTree(centres)
+        self._discs = Discs(centres, self._triangles.normals[self._part_of], self._reach)
 
-    def closest(self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf) -> ClosestPoints:
+    def closest(
+        self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf, beside: PointsBeside | None = None
+    ) -> ClosestPoints:
         """The closest point of the mesh to each point.
 
         Args:
             points: Metres, finite.
             exact_below: Distances above this many metres may be too large; asking for less is faster. With 0 all are
             upper bounds.
+            beside: Points with `points` as their owners; those are ruled out that may not be clear of the mesh.
         """
         points = np.asarray(points, np.float64)
         found = _Found(np.full(len(points), np.inf), np.zeros(len(points), np.int64), np.zeros((len(points), 3)))
         # For points close to the mesh one radius does for all.
-        close = min(exact_below, self._most)
-        if close > 0:
-            self._search(points, np.arange(len(points)), close, found)
+        close = exact_below if exact_below <= _AT_ONCE * self._most else self._most
+        if beside is not None:
+            close = max(close, beside.reach)
+        if close > 0 and len(points):
+            self._search(points, np.arange(len(points)), close, found, beside)
         rows = np.flatnonzero(found.distance > close)
-        first, part = self._centres.query(points[rows], k=1)
+        first, part = self._centres.query(points.take(rows, axis=0), k=1)
         self._try(points, rows, self._part_of[part], first, found)
         if exact_below > close:
             # Each has an upper bound now; where even the closest centre is farther, a rough answer will do.
@@ -84,10 +94,17 @@ class MeshSearch:
                 end = int(np.searchsorted(bound, _SIMILAR * bound[start], side="right"))
                 self._search(points, rows[start:end], bound[end - 1], found)
                 start = end
-        position = np.einsum("pk,pkc->pc", found.weights, self._corners[found.face])
+        position = np.einsum("pk,pkc->pc", found.weights, self._corners.take(found.face, axis=0))
         return ClosestPoints(np.linalg.norm(points - position, axis=1), found.face, found.weights, position)
 
-    def _search(self, points: np.ndarray, rows: np.ndarray, limit: float, found: "_Found") -> None:
+    def _search(
+        self,
+        points: np.ndarray,
+        rows: np.ndarray,
+        limit: float,
+        found: "_Found",
+        beside: PointsBeside | None = None,
+    ) -> None:
         """Make distances up to `limit` exact."""
         radius = limit + self._most
         probes = points[rows[:: max(len(rows) // _PROBES, 1)]]
@@ -95,7 +112,7 @@ class MeshSearch:
         block = max(int(_PAIRS / max(pairs, 1.0)), 1)
         for start in range(0, len(rows), block):
             here = rows[start : start + block]
-            tree = cKDTree(points[here], balanced_tree=False, compact_nodes=False)
+            tree = cKDTree(points.take(here, axis=0), balanced_tree=False, compact_nodes=False)
             near = tree.sparse_distance_matrix(self._centres, radius, output_type="ndarray")
             row, part, far = here[near["i"]], near["j"], near["v"]
             # The triangle of the closest centre is close to the closest triangle.
@@ -103,12 +120,14 @@ class MeshSearch:
             np.minimum.at(closest, row, far)
             first = far == closest[row]
             self._try(points, row[first], self._part_of[part[first]], far[first], found)
+            if beside is not None:
+                beside.rule_out(self._discs, row, part, far)
             left = far - self._reach[part] < np.minimum(found.distance, limit)[row]
             self._try(points, row[left], self._part_of[part[left]], far[left], found)
 
     def _try(self, points: np.ndarray, row: np.ndarray, face: np.ndarray, far: np.ndarray, found: "_Found") -> None:
         """Take the triangle `face` for the point `row`, for each such pair, where it is closer than what is known."""
-        squared, v, w = self._triangles.closest(points[row], face)
+        squared, v, w = self._triangles.closest(points.take(row, axis=0), face)
         distance = np.sqrt(squared)
         closer = np.flatnonzero(distance < found.distance[row])
         np.minimum.at(found.distance, row[closer], distance[closer])

@@ -22,6 +22,8 @@ from tryon_jax.types import ArrayLike
 EASE_AT = ("chest", "waist", "hip")
 """Where ease is measured."""
 
+# Distances up to this, metres, are exact; larger ones, which no report shows, may be a little too large.
+_EXACT = 0.03
 _measure = jax.jit(measure_vertices)
 
 
@@ -38,7 +40,7 @@ class Fit:
     pull: dict[str, float]
     """Tension of the cloth along the tape at each of `EASE_AT` that it goes round, N/m; empty without a fabric."""
     clearance: Float[np.ndarray, " V"]
-    """Distance of each vertex from the body, metres; negative inside. Exact up to `push_out.EXACT_BELOW`."""
+    """Distance of each vertex from the body, metres; negative inside."""
     tension: Float[np.ndarray, " V"]
     """Largest principal strain of the cloth around each vertex: 0.1 is cloth pulled 10 % longer than the pattern."""
 
@@ -125,13 +127,15 @@ def measure_fit(
         faces_uv: entry of `uv` of every face corner.
         fabric: what it is made of, to say how hard it pulls.
         body_girth: girths of the body, metres, where they are known; measured here otherwise.
-        clearance: distance of each vertex from the body, metres, negative inside, where it is known (push-out measures
-            it); measured here otherwise.
+        clearance: distance of each vertex from the body, metres, negative inside, exact up to `push_out.EXACT_BELOW`,
+            where it is known; measured here otherwise.
     """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces)
     girth = _measure(body.vertices.astype(np.float32), landmarks) if body_girth is None else body_girth
-    if clearance is None:
-        clearance = body.closest(points, exact_below=EXACT_BELOW).distance
+    # What push-out did not look at so far away.
+    rows = np.arange(len(points)) if clearance is None else np.flatnonzero(np.abs(clearance) > EXACT_BELOW)
+    clearance = np.zeros(len(points)) if clearance is None else clearance.copy()
+    clearance[rows] = body.closest(points[rows], exact_below=_EXACT).distance
     flat, corners = np.asarray(uv, np.float64), np.asarray(faces_uv)
     cloth: dict[str, float | None] = {}
     stretch: dict[str, float | None] = {}
