@@ -23,6 +23,8 @@ _PROBES = 64
 _SIMILAR = 1.25
 # Distances up to this many times the largest reach are searched with one radius for all points.
 _AT_ONCE = 2.0
+# Points within this part of the largest reach are looked for before others.
+_ON_IT = 0.2
 # Parts along an edge into which a triangle is cut at most.
 _MOST_CUTS = 16
 
@@ -54,7 +56,7 @@ class MeshSearch:
             part_size: Triangles are cut until none is larger than this many times the median one. Results are the same
             for any, except which of several triangles is taken that are equally close up to rounding.
         """
-        self._corners = np.asarray(vertices, np.float64)[np.asarray(faces)]
+        self._corners = np.asarray(vertices, np.float64).take(np.asarray(faces), axis=0)
         self._triangles = Triangles(self._corners)
         centres, self._part_of, self._reach = _parts(self._corners, part_size)
         self._most = self._reach.max()
@@ -74,12 +76,18 @@ class MeshSearch:
         """
         points = np.asarray(points, np.float64)
         found = _Found(np.full(len(points), np.inf), np.zeros(len(points), np.int64), np.zeros((len(points), 3)))
-        # For points close to the mesh one radius does for all.
+        # For points close to the mesh one radius does for all; most may lie on it, where a small one does.
         close = exact_below if exact_below <= _AT_ONCE * self._most else self._most
         if beside is not None:
             close = max(close, beside.reach)
-        if close > 0 and len(points):
-            self._search(points, np.arange(len(points)), close, found, beside)
+        rows = np.arange(len(points))
+        if exact_below > close and beside is None:
+            self._search(points, rows, _ON_IT * self._most, found)
+            rows = np.flatnonzero(found.distance > _ON_IT * self._most)
+            # Which of several equally close triangles is taken must not depend on what was tried before.
+            found.distance[rows] = np.inf
+        if close > 0:
+            self._search(points, rows, close, found, beside)
         rows = np.flatnonzero(found.distance > close)
         first, part = self._centres.query(points.take(rows, axis=0), k=1)
         self._try(points, rows, self._part_of[part], first, found)
@@ -106,6 +114,8 @@ class MeshSearch:
         beside: PointsBeside | None = None,
     ) -> None:
         """Make distances up to `limit` exact."""
+        if not len(rows):
+            return
         radius = limit + self._most
         probes = points[rows[:: max(len(rows) // _PROBES, 1)]]
         pairs = self._centres.query_ball_point(probes, radius, return_length=True).mean()
@@ -116,13 +126,13 @@ class MeshSearch:
             near = tree.sparse_distance_matrix(self._centres, radius, output_type="ndarray")
             row, part, far = here[near["i"]], near["j"], near["v"]
             # The triangle of the closest centre is close to the closest triangle.
-            closest = np.full(len(points), np.inf)
-            np.minimum.at(closest, row, far)
-            first = far == closest[row]
+            closest = np.full(len(here), np.inf)
+            np.minimum.at(closest, near["i"], far)
+            first = far == closest[near["i"]]
             self._try(points, row[first], self._part_of[part[first]], far[first], found)
             if beside is not None:
                 beside.rule_out(self._discs, row, part, far)
-            left = far - self._reach[part] < np.minimum(found.distance, limit)[row]
+            left = (far - self._reach[part] < np.minimum(found.distance[row], limit)) & ~first
             self._try(points, row[left], self._part_of[part[left]], far[left], found)
 
     def _try(self, points: np.ndarray, row: np.ndarray, face: np.ndarray, far: np.ndarray, found: "_Found") -> None:
