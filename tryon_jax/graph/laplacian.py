@@ -65,10 +65,19 @@ def scaled_laplacian(
     """
     laplacian = normalised_laplacian(edges, num_nodes)
     bound = largest_eigenvalue(laplacian)
+    row, column = np.repeat(np.arange(num_nodes), np.diff(laplacian.indptr)), laplacian.indices
+    values = laplacian.data
     if normalisation == "random-walk":
         root = null_vector(edges, num_nodes)
-        laplacian = sp.diags_array(1.0 / root) @ laplacian @ sp.diags_array(root)
-    return (laplacian * (2.0 / bound) - sp.eye_array(num_nodes, format="csr")).tocsr(), bound
+        values = (1.0 / root).take(row) * values * root.take(column)
+    values = values * (2.0 / bound)
+    # A node without an edge has no entry yet.
+    alone = np.flatnonzero(np.diff(laplacian.indptr) == 0)
+    index = (np.concatenate([row, alone]), np.concatenate([column, alone]))
+    data = np.concatenate([values - (row == column), np.full(len(alone), -1.0)])
+    scaled = sp.coo_array((data, index), shape=laplacian.shape).tocsr()
+    scaled.eliminate_zeros()
+    return scaled, bound
 
 
 def null_vector(edges: Int[np.ndarray, "E 2"], num_nodes: int) -> Float[np.ndarray, " V"]:
