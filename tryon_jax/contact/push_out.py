@@ -28,7 +28,7 @@ _NEAR = 0.006
 """Samples that are farther from where they should be than this take no part in a round, metres."""
 _INNER_STEPS = 60
 # Rings of samples round what is missing that a step looks at first.
-_RINGS = 3
+_RINGS = 1
 
 
 @dataclass(frozen=True)
