@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from tests.graph_meshes import tube
-from tryon_jax.contact.push_out import _least_move, _multipliers, push_out, sample_matrix
+from tryon_jax.contact.push_out import EXACT_BELOW, _least_move, _multipliers, _Samples, push_out, sample_matrix
 from tryon_jax.contact.signed_distance import ClosedSurface
 
 
@@ -64,8 +64,21 @@ def test_what_it_tells_is_what_a_full_measurement_finds(ball):
     assert result.is_outside
 
 
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+@pytest.mark.parametrize("radius", [0.19, 0.22, 0.25])
+def test_distances_are_those_of_the_very_vertices(ball, precision, radius):
+    """In the precision that they are handed out in, whether they moved or not."""
+    vertices, faces = tube(30, 24, radius=radius)
+    result = push_out(vertices.astype(precision), faces, ball)
+    assert result.vertices.dtype == precision
+    expected = ball.closest(result.vertices.astype(np.float64)).distance
+    near = expected < EXACT_BELOW
+    np.testing.assert_allclose(result.distance[near], expected[near], rtol=0, atol=1e-12)
+    assert (result.distance >= np.minimum(expected, EXACT_BELOW) - 1e-12).all()
+
+
 @pytest.mark.parametrize("depth", [0.001, 0.02])
-def test_looking_only_around_what_is_missing_changes_nothing(depth):
+def test_looking_only_around_what_is_missing_changes_nothing(ball, depth):
     """A little missing, and so much that the push spreads over several rings."""
     vertices, faces = tube(30, 24, radius=0.2)
     samples = sample_matrix(faces, len(vertices))
@@ -76,7 +89,9 @@ def test_looking_only_around_what_is_missing_changes_nothing(depth):
     multiplier, pushed = _multipliers(samples, away, missing)
     assert 0 < pushed.sum() < 0.5 * len(pushed)
     expected = samples.T @ (multiplier[:, None] * away)
-    np.testing.assert_allclose(_least_move(samples, away, missing), expected, atol=1e-15)
+    known = _Samples(samples, ball, vertices, faces, 0.0)
+    known.distance, known.away = -missing, away
+    np.testing.assert_allclose(_least_move(samples, known, 0.0), expected, atol=1e-15)
 
 
 def test_flat_body_gives_the_exact_least_displacement():

@@ -73,6 +73,17 @@ def test_stretch_is_what_was_done_to_the_pattern():
     np.testing.assert_allclose(longer[:, 1], 1.0, atol=2e-4)
 
 
+def test_stretches_are_singular_values():
+    random = np.random.default_rng(0)
+    uv, points, faces = random.normal(size=(90, 2)), random.normal(size=(90, 3)), np.arange(90).reshape(-1, 3)
+    points[:3] = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    sides, drape = uv[faces], points[faces]
+    rest = np.stack([sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]], axis=2)
+    now = np.stack([drape[:, 1] - drape[:, 0], drape[:, 2] - drape[:, 0]], axis=2)
+    expected = np.linalg.svd(now @ np.linalg.inv(rest), compute_uv=False)
+    np.testing.assert_allclose(stretches(points, faces, uv, faces), expected, rtol=1e-9, atol=1e-9)
+
+
 def test_cloth_round_a_tube_pulls_as_its_fabric_does():
     body = load_body("female")
     fabric = load_fabric("white-dots-on-blk")

@@ -13,7 +13,7 @@ from tryon_jax.wear.gate import LIMITS, Refused, Verdict, judge, judge_betas
 SHIRT, FACES = tshirt()
 UV, FACES_UV = pattern_of(SHIRT, FACES)
 SKIN = np.asarray(BODY.v_template, float)
-CLEAN = PushedOut(SHIRT, 0.02, 0.004, 0.0, 0.0, 0.006, 2)
+CLEAN = PushedOut(SHIRT, np.full(len(SHIRT), 0.002), 0.02, 0.004, 0.0, 0.0, 0.006, 2)
 
 
 def verdict(vertices: np.ndarray = SHIRT, **more) -> Verdict:

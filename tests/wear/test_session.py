@@ -77,6 +77,10 @@ def test_cloth_is_pushed_out_and_measured_again(session, belt):
     assert dressed.pushed.is_outside
     assert dressed.penetration().depth == 0
     assert dressed.fit.inside == 0
+    # Girths and distances that are known are not measured again; measured again they are the same.
+    again = session.measure(replace(dressed, pushed=None, body=replace(dressed.body, measurements={})))
+    assert again.fit.body_girth == dressed.fit.body_girth
+    np.testing.assert_allclose(again.fit.clearance, dressed.fit.clearance, rtol=0, atol=1e-12)
     whole = session.try_on(garment)
     np.testing.assert_array_equal(whole.vertices, dressed.vertices)
     np.testing.assert_array_equal(whole.fine, drape.vertices)

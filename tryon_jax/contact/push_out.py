@@ -2,8 +2,8 @@
 
 Constraints are that samples of the cloth (its vertices, the middles of its edges and faces) keep a clearance from the
 body. Each round linearises them at the closest points, takes the displacement of least squares norm that satisfies
-them (Hildreth 1957, all multipliers at once), and measures again what has moved. The result carries what was measured
-last of every sample, so that nothing has to be believed.
+them (Hildreth 1957, all multipliers at once), and measures again what has moved. Vertices are measured; of the other
+samples those that bounds do not clear of the body are. So nothing of the result has to be believed.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,21 @@ from jaxtyping import Bool, Float, Int
 
 from tryon_jax.checks import check_finite, check_range
 from tryon_jax.contact.signed_distance import ClosedSurface
+from tryon_jax.mesh.normals import vertex_normals
+from tryon_jax.mesh.points_beside import PointsBeside
 from tryon_jax.mesh.topology import unique_edges
 
 CLEARANCE = 0.002
 """Default distance that is kept from the body, metres: more than the body bulges between samples 1 cm apart."""
 
+EXACT_BELOW = 0.02
+"""Distances of vertices are exact up to this, metres."""
+
 _NEAR = 0.006
 """Samples that are farther from where they should be than this take no part in a round, metres."""
 _INNER_STEPS = 60
 # Rings of samples round what is missing that a step looks at first.
-_RINGS = 3
+_RINGS = 1
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,10 @@ class PushedOut:
     """A drape outside the body, with the evidence."""
 
     vertices: Float[np.ndarray, "V 3"]
-    """Positions after the push, metres."""
+    """Positions after the push, metres, in the precision of those before."""
+    distance: Float[np.ndarray, " V"]
+    """Distance of each of these from the body, metres, negative inside; exact up to `EXACT_BELOW`, beyond it may be a
+    little too large."""
     inside_before: float
     """Share of the samples that were inside the body."""
     deepest_before: float
@@ -81,59 +89,105 @@ def push_out(
     Raises:
         ValueError: for vertices that are not finite, or a clearance outside 0 to 5 cm.
     """
+    precision = np.result_type(vertices, np.float32)
     points = check_finite("vertices", vertices).astype(np.float64)
     check_range("clearance", clearance, 0.0, 0.05, "m")
     start = points.copy()
     samples = sample_matrix(faces, len(points))
-    at = samples @ points
     # Aim a little farther: the body is not flat, so the linearised step falls short.
     aim = clearance + 1e-4
-    reach = aim + _NEAR
-    found = body.closest(at, exact_below=reach)
-    distance, away = found.distance, found.away
-    before = distance.copy()
+    at = _Samples(samples, body, points, faces, aim)
+    before = at.distance.copy()
     rounds = 0
-    while rounds < max_rounds and (distance < clearance).any():
-        near = np.flatnonzero(distance < reach)
-        points = points + _least_move(samples[near], away[near], aim - distance[near])
+    while rounds < max_rounds and (at.distance < clearance).any():
+        move = _least_move(samples, at, aim)
+        # What is measured is what is handed out.
+        points = (points + move).astype(precision).astype(np.float64)
+        at.move(points)
         rounds += 1
-        moved = samples @ points
-        # Few samples move, and what has not moved is as far from the body as before.
-        stale = np.flatnonzero((moved != at).any(axis=1))
-        found = body.closest(moved[stale], exact_below=reach)
-        distance[stale], away[stale] = found.distance, found.away
-        at = moved
     return PushedOut(
-        vertices=points,
+        vertices=points.astype(precision),
+        distance=at.of_vertices(),
         inside_before=float((before < 0).mean()),
         deepest_before=float(max(0.0, -before.min())),
-        inside=float((distance < 0).mean()),
-        deepest=float(max(0.0, -distance.min())),
+        inside=float((at.distance < 0).mean()),
+        deepest=float(max(0.0, -at.distance.min())),
         largest_move=float(np.linalg.norm(points - start, axis=1).max()),
         rounds=rounds,
     )
 
 
-def _least_move(
-    samples: sp.csr_array, away: Float[np.ndarray, "S 3"], missing: Float[np.ndarray, " S"]
-) -> Float[np.ndarray, "V 3"]:
-    """Displacement x of least norm with away · (samples x) ≥ missing, by projected ascent on the multipliers.
+class _Samples:
+    """Samples of a cloth, measured where it matters."""
+
+    distance: Float[np.ndarray, " S"]
+    """Metres, negative inside. Infinite where it was not measured: such a sample is outside and farther than `aim`."""
+    away: Float[np.ndarray, "S 3"]
+    """Direction in which the distance grows, where it was measured."""
+
+    def __init__(
+        self, samples: sp.csr_array, body: ClosedSurface, vertices: np.ndarray, faces: np.ndarray, aim: float
+    ) -> None:
+        """Measure all vertices, and what else may be closer than `aim` or inside."""
+        self._matrix, self._body, self._exact_below = samples, body, aim + _NEAR
+        self._at = samples @ vertices
+        count = len(vertices)
+        # The first vertex of each edge and of each face.
+        owner = samples.indices[samples.indptr[count:-1]]
+        across = vertex_normals(vertices, faces)
+        beside = PointsBeside(self._at[count:], owner, vertices, across, aim, EXACT_BELOW - aim)
+        found = body.closest(vertices, EXACT_BELOW, beside)
+        self.distance, self.away = np.full(len(self._at), np.inf), np.zeros((len(self._at), 3))
+        self.distance[:count], self.away[:count] = found.distance, found.away
+        self._again = np.zeros(count, bool)
+        unclear = count + np.flatnonzero(~(beside.clear & (found.distance[owner] > 0)))
+        deep = np.flatnonzero(found.distance < -self._exact_below)
+        self._measure(np.concatenate([deep, unclear]))
+
+    def move(self, vertices: Float[np.ndarray, "V 3"]) -> None:
+        """Measure again what is moved by these positions of the vertices, metres."""
+        moved = self._matrix @ vertices
+        stale = np.flatnonzero((moved != self._at).any(axis=1))
+        self._at = moved
+        self._measure(stale)
+
+    def look(self, rows: Int[np.ndarray, " N"]) -> None:
+        """Measure those of these samples that were not."""
+        self._measure(rows[np.isinf(self.distance[rows])])
+
+    def of_vertices(self) -> Float[np.ndarray, " V"]:
+        """Distance of each vertex, exact up to `EXACT_BELOW`."""
+        distance = self.distance[: len(self._again)].copy()
+        rows = np.flatnonzero(self._again & (np.abs(distance) > self._exact_below))
+        distance[rows] = self._body.closest(self._at[rows], EXACT_BELOW).distance
+        return distance
+
+    def _measure(self, rows: np.ndarray) -> None:
+        found = self._body.closest(self._at[rows], self._exact_below)
+        self.distance[rows], self.away[rows] = found.distance, found.away
+        self._again[rows[rows < len(self._again)]] = True
+
+
+def _least_move(samples: sp.csr_array, at: _Samples, aim: float) -> Float[np.ndarray, "V 3"]:
+    """Displacement x of least norm with away · (samples x) ≥ aim − distance, by projected ascent on the multipliers.
 
     A multiplier stays zero where nothing is missing and those of all samples that share a vertex are zero. So only the
     samples around what is missing are looked at, and the result is that of all of them as long as the outermost ring
     is never pushed; where it is, more are taken.
     """
-    reached, rings = missing > 0, _RINGS
+    reached, rings = at.distance < aim, _RINGS
     while True:
         inner = reached
         for _ in range(rings):
             inner = reached
             reached = samples @ (samples.T @ inner.astype(np.float64)) > 0
         rows = np.flatnonzero(reached)
-        local = samples[rows]
-        multiplier, pushed = _multipliers(local, away[rows], missing[rows])
+        at.look(rows)
+        rows = rows[at.distance[rows] < aim + _NEAR]
+        local, away = samples[rows], at.away[rows]
+        multiplier, pushed = _multipliers(local, away, aim - at.distance[rows])
         if not (pushed & ~inner[rows]).any():
-            return local.T @ (multiplier[:, None] * away[rows])
+            return local.T @ (multiplier[:, None] * away)
         rings *= 2
 
 

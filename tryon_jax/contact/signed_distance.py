@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tryon_jax.mesh.closest_points import MeshSearch
-from tryon_jax.mesh.topology import directed_edges, edge_keys
+from tryon_jax.mesh.points_beside import PointsBeside
+from tryon_jax.mesh.topology import directed_edges, edge_keys, stable_order
 
 # Barycentric weights below this are zero: the closest point is on an edge or a vertex.
 _ZERO = 1e-9
@@ -51,36 +52,44 @@ class ClosedSurface:
         self.faces = np.asarray(faces, np.int64)
         count = len(self.vertices)
         half = directed_edges(self.faces)
-        keys, inverse, counts = np.unique(edge_keys(half, count), return_inverse=True, return_counts=True)
-        if (counts != 2).any():
+        keys = edge_keys(half, count)
+        order = stable_order(keys)
+        first = np.flatnonzero(np.diff(keys[order], prepend=-1))
+        wrong = int((np.diff(first, append=len(keys)) != 2).sum())
+        if wrong:
             raise ValueError(
-                f"the surface must be closed: every edge needs two faces, but {int((counts != 2).sum())} edges do not "
-                "have two"
+                f"the surface must be closed: every edge needs two faces, but {wrong} edges do not have two"
             )
-        corners = self.vertices[self.faces]
+        other = np.empty(len(keys), np.int64)
+        other[order[::2]], other[order[1::2]] = order[1::2], order[::2]
+        corners = self.vertices.take(self.faces, axis=0)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-        edge = np.zeros((len(keys), 3))
-        np.add.at(edge, inverse, np.tile(normal, (3, 1)))
         at_vertex = np.zeros((count, 3))
         for k in range(3):
             a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
             cosine = (a * b).sum(1) / np.maximum(np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1), 1e-300)
-            np.add.at(at_vertex, self.faces[:, k], np.arccos(np.clip(cosine, -1, 1))[:, None] * normal)
+            angle = np.arccos(np.clip(cosine, -1, 1))
+            for c in range(3):
+                at_vertex[:, c] += np.bincount(self.faces[:, k], angle * normal[:, c], count)
         self._face_normals, self._vertex_normals = normal, at_vertex
-        # Half-edge k of a face runs from corner k to corner k + 1.
-        self._edge_normals = edge[inverse].reshape(3, len(self.faces), 3).swapaxes(0, 1)
+        # Half-edge k of a face runs from corner k to corner k + 1; the other half belongs to the face across.
+        across = normal.take(other % len(self.faces), axis=0).reshape(3, len(self.faces), 3)
+        self._edge_normals = (normal + across).swapaxes(0, 1)
         self._search = MeshSearch(self.vertices, self.faces, _PART_SIZE)
 
-    def closest(self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf) -> SignedDistances:
+    def closest(
+        self, points: Float[np.ndarray, "P 3"], exact_below: float = np.inf, beside: PointsBeside | None = None
+    ) -> SignedDistances:
         """Signed distance and closest point of each point.
 
         Args:
             points: Metres, finite.
             exact_below: Distances whose size is above this many metres may be too large; asking for less is faster.
+            beside: As in `MeshSearch.closest`.
         """
         points = np.asarray(points, np.float64)
-        found = self._search.closest(points, exact_below)
+        found = self._search.closest(points, exact_below, beside)
         offset = points - found.position
         pseudo = self._pseudonormals(found.face, found.weights)
         sign = np.where(np.einsum("pc,pc->p", offset, pseudo) < 0, -1.0, 1.0)

@@ -27,7 +27,8 @@ def mean_value_laplacian(points: Float[np.ndarray, "N 2"], faces: Int[np.ndarray
     rows, cols, weights = [], [], []
     for k in range(3):
         a, b, c = faces[:, k], faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
-        u, v = points[b] - points[a], points[c] - points[a]
+        at = points.take(a, axis=0)
+        u, v = points.take(b, axis=0) - at, points.take(c, axis=0) - at
         cross = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
         half_tangent = np.tan(np.arctan2(cross, (u * v).sum(1)) / 2)
         rows += [a, a]
@@ -142,7 +143,7 @@ def spread(
 
 def _mean_ratio(points: np.ndarray, faces: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Energy, its gradient, and a positive diagonal that bounds its curvature."""
-    corners = points[faces]
+    corners = points.take(faces, axis=0)
     area = signed_areas(points, faces)[:, None]
     following, preceding = np.roll(corners, -1, axis=1), np.roll(corners, 1, axis=1)
     ratio = ((following - corners) ** 2).sum(axis=(1, 2))[:, None] / (4 * np.sqrt(3) * area)

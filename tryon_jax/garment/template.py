@@ -5,7 +5,7 @@ The reference is the triangulated mean design; it is moved to the outlines of ot
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
@@ -184,8 +184,19 @@ def morph_reference(space: DesignSpace, design: Design, num_vertices: int = TEMP
             return sample_outline(panel, drawn_at(t), reference.counts).points
 
         points.append(morph(reference.points[k], reference.faces[k], outline_at))
-    outlines = [sample_outline(panel, drawn_at(1.0), reference.counts) for panel in layout.panels]
-    return sew_pattern(layout, design, outlines, points, reference.faces)
+    outlines = tuple(sample_outline(panel, drawn_at(1.0), reference.counts) for panel in layout.panels)
+    # Of the sewn mesh only the pattern's coordinates depend on the design.
+    mesh = replace(_sewn_reference(layout, num_vertices), uv=np.concatenate(points), design=design)
+    return TriangulatedPattern(mesh, outlines, tuple(points), reference.faces)
+
+
+@functools.cache
+def _sewn_reference(layout: Layout, num_vertices: int) -> SewnMesh:
+    reference = load_reference(layout, num_vertices)
+    drawn = layout.draw(reference.values)
+    outlines = [sample_outline(panel, drawn, reference.counts) for panel in layout.panels]
+    mean = Design(tuple(reference.values), np.array(list(reference.values.values())), "reference")
+    return sew(layout, mean, outlines, reference.points, reference.faces)
 
 
 def build_template(space: DesignSpace, design: Design, num_vertices: int = TEMPLATE_VERTICES) -> SewnMesh:

@@ -153,13 +153,14 @@ def relax(
             near, at = tree.query(points[fixed:], distance_upper_bound=1.5 * spacing)
             close = np.flatnonzero(np.isfinite(near))
             close, beside = close + fixed, at[close]
-        bar = points[first] - points[second]
-        square = bar[:, 0] ** 2 + bar[:, 1] ** 2
+        bar = [at.take(first) - at.take(second) for at in np.ascontiguousarray(points.T)]
+        square = bar[0] ** 2 + bar[1] ** 2
         long = np.sqrt(square)
         rest = 1.2 * np.sqrt(square.mean())
-        force = (0.2 * np.maximum(rest - long, 0.0) / long)[:, None] * bar
+        share = 0.2 * np.maximum(rest - long, 0.0) / long
         for k in range(2):
-            move = np.bincount(first, force[:, k], count) - np.bincount(second, force[:, k], count)
+            force = share * bar[k]
+            move = np.bincount(first, force, count) - np.bincount(second, force, count)
             points[fixed:, k] += move[fixed:]
         depth = ((points[close] - outline[beside]) * normals[beside]).sum(axis=1)
         # Nothing may cross the outline: what comes too near goes back to a third of an edge inside.

@@ -74,11 +74,17 @@ def blend_skinning(vertices: Float[np.ndarray, "V 3"], body: Body) -> Float[np.n
     The paper takes those of the closest body vertex. They jump where another one becomes the closest, so that rounding
     could move a drape; here the eight closest are blended by weights that fade to zero at the ninth's distance.
     """
+    return _blend(vertices, body)[0]
+
+
+def _blend(vertices: np.ndarray, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Blended skinning weights and the closest body vertex of each vertex, by one search."""
     count = min(_BLENDED + 1, len(body.v_template))
     distance, index = cKDTree(np.asarray(body.v_template)).query(vertices, k=np.arange(1, count + 1))
     blend = (1.0 - distance[:, :-1] / np.maximum(distance[:, -1:], 1e-12)) ** 2 + 1e-12
     blend /= blend.sum(axis=1, keepdims=True)
-    return np.einsum("vk,vkj->vj", blend, np.asarray(body.lbs_weights)[index[:, :-1]])
+    skinning = np.asarray(body.lbs_weights).take(index[:, :-1], axis=0)
+    return np.einsum("vk,vkj->vj", blend, skinning), index[:, 0]
 
 
 def build_graph(
@@ -147,12 +153,13 @@ def build_graph(
     capacity = 2 * size
     while capacity < len(faces):
         capacity *= 2
+    skinning, closest = _blend(points, body)
     return GarmentGraph(
         levels=levels,
         vertices=pad_rows(points, size, dtype),
         faces=pad_rows(np.asarray(faces), capacity, np.int32),
-        skinning_weights=pad_rows(blend_skinning(points, body), size, dtype),
-        body_vertices=pad_rows(closest_body_vertices(points, body), size, np.int32),
+        skinning_weights=pad_rows(skinning, size, dtype),
+        body_vertices=pad_rows(closest, size, np.int32),
         mask=np.arange(size) < num_vertices,
         num_vertices=np.asarray(num_vertices, np.int32),
     )

@@ -5,7 +5,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float, Int
-from scipy.sparse.linalg import ArpackNoConvergence, eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 # Below this the dense solver is faster than starting Lanczos, and Lanczos needs more vectors than there are.
 _DENSE_BELOW = 64
@@ -44,8 +44,10 @@ def largest_eigenvalue(laplacian: sp.csr_array, tolerance: float = 1e-4) -> floa
     if n <= _DENSE_BELOW:
         return float(np.linalg.eigvalsh(laplacian.toarray())[-1])
     start = np.random.default_rng(0).standard_normal(n)
+    # SciPy would multiply by a matrix of one column, and check it each time.
+    product = LinearOperator(laplacian.shape, matvec=lambda x: laplacian @ x, dtype=laplacian.dtype)
     try:
-        value = eigsh(laplacian, k=1, which="LA", v0=start, tol=0.5 * tolerance, return_eigenvectors=False)[0]
+        value = eigsh(product, k=1, which="LA", v0=start, tol=0.5 * tolerance, return_eigenvectors=False)[0]
     except ArpackNoConvergence:
         return 2.0
     return min(float(value) * (1.0 + 0.5 * tolerance), 2.0)
@@ -63,10 +65,19 @@ def scaled_laplacian(
     """
     laplacian = normalised_laplacian(edges, num_nodes)
     bound = largest_eigenvalue(laplacian)
+    row, column = np.repeat(np.arange(num_nodes), np.diff(laplacian.indptr)), laplacian.indices
+    values = laplacian.data
     if normalisation == "random-walk":
         root = null_vector(edges, num_nodes)
-        laplacian = sp.diags_array(1.0 / root) @ laplacian @ sp.diags_array(root)
-    return (laplacian * (2.0 / bound) - sp.eye_array(num_nodes, format="csr")).tocsr(), bound
+        values = (1.0 / root).take(row) * values * root.take(column)
+    values = values * (2.0 / bound)
+    # A node without an edge has no entry yet.
+    alone = np.flatnonzero(np.diff(laplacian.indptr) == 0)
+    index = (np.concatenate([row, alone]), np.concatenate([column, alone]))
+    data = np.concatenate([values - (row == column), np.full(len(alone), -1.0)])
+    scaled = sp.coo_array((data, index), shape=laplacian.shape).tocsr()
+    scaled.eliminate_zeros()
+    return scaled, bound
 
 
 def null_vector(edges: Int[np.ndarray, "E 2"], num_nodes: int) -> Float[np.ndarray, " V"]:

@@ -51,4 +51,5 @@ def up_matrix(
     keep = weights > 1e-9
     rows = np.broadcast_to(np.arange(n)[:, None], columns.shape)
     up = sp.coo_array((weights[keep], (rows[keep], columns[keep])), shape=(n, m)).tocsr()
-    return sp.csr_array(sp.diags_array(1.0 / up.sum(axis=1)) @ up)
+    up.data *= np.repeat(1.0 / up.sum(axis=1), np.diff(up.indptr))
+    return up

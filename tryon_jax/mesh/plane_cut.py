@@ -8,6 +8,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
+from tryon_jax.mesh.topology import edge_keys
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -57,8 +59,8 @@ def cut_mesh(
     start, end = faces[face, corner], faces[face, (corner + 1) % 3]
     fraction = (height[start] / (height[start] - height[end])).reshape(-1, 2)
     face, corner = face[::2], corner.reshape(-1, 2)
-    ends = np.sort(np.stack([start, end], axis=1), axis=1)
-    edges, index, uses = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    keys = edge_keys(np.stack([start, end], axis=1), len(vertices))
+    edges, index, uses = np.unique(keys, return_inverse=True, return_counts=True)
     segments = index.reshape(-1, 2)
     links = coo_array((np.ones(len(segments)), segments.T), shape=(len(edges), len(edges)))
     count, label = connected_components(links, directed=False)

@@ -10,20 +10,20 @@ IntArray = np.ndarray
 
 def signed_areas(points: Float[np.ndarray, "V 2"], faces: Int[IntArray, "F 3"]) -> Float[np.ndarray, " F"]:
     """Signed areas of triangles in the plane, positive when counter-clockwise."""
-    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
+    a, b, c = (points.take(faces[:, k], axis=0) for k in range(3))
     u, v = b - a, c - a
     return 0.5 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 def edge_lengths(points: Float[np.ndarray, "V D"], faces: Int[IntArray, "F 3"]) -> Float[np.ndarray, "F 3"]:
     """Lengths of the edges 0→1, 1→2 and 2→0 of each triangle, in the plane or in space."""
-    corners = points[faces]
+    corners = points.take(faces, axis=0)
     return np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
 
 
 def areas(points: Float[np.ndarray, "V D"], faces: Int[IntArray, "F 3"]) -> Float[np.ndarray, " F"]:
     """Unsigned areas of triangles, in the plane or in space."""
-    corners = points[faces]
+    corners = points.take(faces, axis=0)
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     gram = (u * u).sum(1) * (v * v).sum(1) - (u * v).sum(1) ** 2
     return 0.5 * np.sqrt(np.maximum(gram, 0.0))

@@ -43,8 +43,10 @@ def _first_of_equal(ordered: np.ndarray) -> Bool[np.ndarray, " N"]:
 
 def unique_edges(faces: Int[IntArray, "F 3"], num_vertices: int) -> tuple[Int[IntArray, "E 2"], Int[IntArray, " E"]]:
     """Undirected edges (smaller index first, sorted) and the number of faces at each."""
-    keys, counts = np.unique(edge_keys(directed_edges(faces), num_vertices), return_counts=True)
-    return np.stack([keys // num_vertices, keys % num_vertices], axis=1), counts
+    ordered = np.sort(edge_keys(directed_edges(faces), num_vertices))
+    first = np.flatnonzero(_first_of_equal(ordered))
+    keys = ordered[first]
+    return np.stack(np.divmod(keys, num_vertices), axis=1), np.diff(first, append=len(ordered))
 
 
 def border_edges(faces: Int[IntArray, "F 3"], num_vertices: int) -> Int[IntArray, "B 2"]:

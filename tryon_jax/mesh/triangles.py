@@ -21,6 +21,10 @@ class Triangles:
         ab, ac = b - a, c - a
         aa, cc, mixed = _dot(ab, ab), _dot(ac, ac), _dot(ab, ac)
         determinant = aa * cc - mixed**2
+        across = np.stack([ab[1] * ac[2] - ab[2] * ac[1], ab[2] * ac[0] - ab[0] * ac[2], ab[0] * ac[1] - ab[1] * ac[0]])
+        size = np.where(determinant > _FLAT * aa * cc, np.sqrt(_dot(across, across)), np.inf)
+        self.normals: Float[np.ndarray, "F 3"] = (across / size).T
+        """Of unit length; zero where a triangle has no area."""
         # Nothing compares with NaN: the projection onto a triangle without area counts as outside.
         determinant = np.where(determinant > _FLAT * aa * cc, determinant, np.nan)
         bc = np.maximum(aa + cc - 2 * mixed, _TINY)

@@ -7,6 +7,7 @@ a TOML file of the same form.
 import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,7 @@ def load_fabric(name_or_path: str | Path) -> Fabric:
     """
     text = str(name_or_path)
     if not is_fabric_file(text):
-        return _make_fabric(text, _embedded()[check_choice("fabric", text, fabric_names())])
+        return _make_fabric(text, _embedded_numbers(check_choice("fabric", text, fabric_names())))
     path = check_file("fabric file", text)
     try:
         tables = tomllib.loads(path.read_text())
@@ -93,7 +94,7 @@ def load_fabric(name_or_path: str | Path) -> Fabric:
     if len(tables) != 1 or not isinstance(next(iter(tables.values())), dict):
         raise ValueError(f"fabric file {str(path)!r} must hold exactly one [fabric-name] table, found {len(tables)}")
     name, table = next(iter(tables.items()))
-    return _make_fabric(name, table)
+    return _make_fabric(name, _numbers(name, table))
 
 
 def is_fabric_file(name: str) -> bool:
@@ -106,11 +107,22 @@ def known_fabric(name: str) -> Fabric | None:
     return load_fabric(name) if is_fabric_file(name) or name in _embedded() else None
 
 
+@cache
+def _embedded_numbers(name: str) -> dict[str, Any]:
+    return _numbers(name, _embedded()[name])
+
+
+@cache
 def _embedded() -> dict[str, Any]:
     return tomllib.loads(resources.files("tryon_jax").joinpath("data/fabrics.toml").read_text())
 
 
-def _make_fabric(name: str, table: Mapping[str, Any]) -> Fabric:
+def _make_fabric(name: str, numbers: Mapping[str, Any]) -> Fabric:
+    return Fabric(**{key: jnp.asarray(value) for key, value in numbers.items()}, name=name)
+
+
+def _numbers(name: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """What a table of a fabric file says, checked."""
     for key in table:
         check_choice(f"entry of fabric {name!r}", key, KNOWN_KEYS)
     for key in ("density", "stretching", "bending"):
@@ -123,16 +135,13 @@ def _make_fabric(name: str, table: Mapping[str, Any]) -> Fabric:
         raise ValueError(f"fabric {name!r}: stretching at zero strain must not be negative, got {stretching[0]}")
     if (bending < 0).any():
         raise ValueError(f"fabric {name!r}: bending must not be negative, got {bending.min():g}")
-    return Fabric(
-        density=jnp.asarray(check_range(f"density of fabric {name!r}", table["density"], 0.01, 5.0, "kg/m²")),
-        stretch_table=jnp.asarray(stretch_table(stretching)),
-        bending=jnp.asarray(bending),
-        friction=jnp.asarray(check_range(f"friction of fabric {name!r}", table.get("friction", 0.3), 0.0, 2.0)),
-        thickness=jnp.asarray(
-            check_range(f"thickness of fabric {name!r}", table.get("thickness", 0.005), 0.001, 0.02, "m")
-        ),
-        name=name,
-    )
+    return {
+        "density": check_range(f"density of fabric {name!r}", table["density"], 0.01, 5.0, "kg/m²"),
+        "stretch_table": stretch_table(stretching),
+        "bending": bending,
+        "friction": check_range(f"friction of fabric {name!r}", table.get("friction", 0.3), 0.0, 2.0),
+        "thickness": check_range(f"thickness of fabric {name!r}", table.get("thickness", 0.005), 0.001, 0.02, "m"),
+    }
 
 
 def _table(name: str, key: str, rows: Any, shape: tuple[int, int]) -> np.ndarray:

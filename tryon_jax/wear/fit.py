@@ -3,6 +3,7 @@
 Host side (NumPy); the garment is a finished drape and the body stands in T-pose as when it was draped.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import jax
@@ -11,6 +12,7 @@ from jaxtyping import Float, Int
 
 from tryon_jax.body.landmarks import GIRTHS, Landmarks
 from tryon_jax.body.measurements import measure_vertices
+from tryon_jax.contact.push_out import EXACT_BELOW
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.mesh.plane_cut import Curve, cut_mesh, plane_axes
 from tryon_jax.physics.fabrics import Fabric
@@ -110,6 +112,9 @@ def measure_fit(
     uv: Float[ArrayLike, "U 2"],
     faces_uv: Int[ArrayLike, "F 3"],
     fabric: Fabric | None = None,
+    *,
+    body_girth: Mapping[str, float] | None = None,
+    clearance: Float[np.ndarray, " V"] | None = None,
 ) -> Fit:
     """Measure a draped garment on a body.
 
@@ -121,9 +126,16 @@ def measure_fit(
         uv: its pattern, metres.
         faces_uv: entry of `uv` of every face corner.
         fabric: what it is made of, to say how hard it pulls.
+        body_girth: girths of the body, metres, where they are known; measured here otherwise.
+        clearance: distance of each vertex from the body, metres, negative inside, exact up to `push_out.EXACT_BELOW`,
+            where it is known; measured here otherwise.
     """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces)
-    measured = _measure(body.vertices.astype(np.float32), landmarks)
+    girth = _measure(body.vertices.astype(np.float32), landmarks) if body_girth is None else body_girth
+    # What push-out did not look at so far away.
+    rows = np.arange(len(points)) if clearance is None else np.flatnonzero(np.abs(clearance) > EXACT_BELOW)
+    clearance = np.zeros(len(points)) if clearance is None else clearance.copy()
+    clearance[rows] = body.closest(points[rows], exact_below=_EXACT).distance
     flat, corners = np.asarray(uv, np.float64), np.asarray(faces_uv)
     cloth: dict[str, float | None] = {}
     stretch: dict[str, float | None] = {}
@@ -140,11 +152,11 @@ def measure_fit(
     total = np.bincount(triangles.ravel(), np.repeat(strain, 3), len(points))
     count = np.bincount(triangles.ravel(), minlength=len(points))
     return Fit(
-        body_girth={name: float(measured[name]) for name in EASE_AT},
+        body_girth={name: float(girth[name]) for name in EASE_AT},
         garment_girth=cloth,
         girth_stretch=stretch,
         pull={} if fabric is None else _pulls(tapes, fabric),
-        clearance=body.closest(points, exact_below=_EXACT).distance,
+        clearance=clearance,
         tension=total / np.maximum(count, 1),
     )
 
@@ -243,12 +255,21 @@ def stretches(
         uv: The pattern, metres.
         faces_uv: Entry of `uv` of every face corner.
     """
-    flat = uv[faces_uv]
-    rest = np.stack([flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]], axis=2)
-    corners = vertices[faces]
-    now = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    gradient = now @ np.linalg.inv(rest)
-    return np.linalg.svd(gradient, compute_uv=False)
+    (ux, uy), (vx, vy) = _sides(uv[faces_uv])
+    first, second = _sides(vertices[faces])
+    # Columns of the gradient: where the unit vectors of the pattern go.
+    area = ux * vy - uy * vx
+    along, across = (first * vy - second * uy) / area, (second * ux - first * vx) / area
+    # Singular values in closed form: the roots of a quadratic, the smaller by their product, which is exact.
+    aa, bb, ab = (along * along).sum(axis=0), (across * across).sum(axis=0), (along * across).sum(axis=0)
+    largest = np.sqrt(0.5 * (aa + bb) + np.hypot(0.5 * (aa - bb), ab))
+    product = np.linalg.norm(np.cross(first, second, axis=0), axis=0) / np.abs(area)
+    return np.stack([largest, product / np.maximum(largest, 1e-300)], axis=1)
+
+
+def _sides(corners: Float[np.ndarray, "F 3 c"]) -> tuple[Float[np.ndarray, "c F"], Float[np.ndarray, "c F"]]:
+    """The two sides of each triangle that start at its first corner, one row for each coordinate."""
+    return (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
 
 
 def pattern_of(

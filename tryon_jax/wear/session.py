@@ -290,12 +290,15 @@ class Session(SessionGarments):
             ValueError: A clearance outside 0 to 5 cm.
         """
         with (stopwatch or Stopwatch()).stage("push out"):
-            pushed = push_out(dressed.vertices, dressed.faces, dressed.body.surface, clearance)
-        return replace(dressed, vertices=pushed.vertices.astype(np.float32), pushed=pushed, fit=None)
+            drape = np.asarray(dressed.vertices, np.float32)
+            pushed = push_out(drape, dressed.faces, dressed.body.surface, clearance)
+        return replace(dressed, vertices=pushed.vertices, pushed=pushed, fit=None)
 
     def measure(self, dressed: DressedBody, *, stopwatch: Stopwatch | None = None) -> DressedBody:
         """The same with its fit; `stopwatch` takes the time of "fit"."""
-        garment = dressed.garment
+        garment, pushed = dressed.garment, dressed.pushed
+        # In another pose the distances are no longer those of this drape.
+        clearance = pushed.distance if pushed is not None and pushed.vertices is dressed.vertices else None
         with (stopwatch or Stopwatch()).stage("fit"):
             fit = measure_fit(
                 dressed.body.surface,
@@ -305,6 +308,8 @@ class Session(SessionGarments):
                 garment.uv,
                 garment.faces_uv,
                 known_fabric(dressed.fabric),
+                body_girth=dressed.body.measurements or None,
+                clearance=clearance,
             )
         return replace(dressed, fit=fit)
 
