@@ -32,7 +32,7 @@ FIELDS = (0, 2, 4, 8)
 class Config:
     """What to drape."""
 
-    designs: tuple[str, ...] = ("tank", "tshirt", "longsleeve", "sweater", "dress", "longsleeve-dress")
+    designs: tuple[str, ...] = ("tank", "tshirt", "longsleeve", "sweater", "dress", "sweater-dress")
     """Presets."""
     fabrics: tuple[str, ...] = ("gray-interlock", "white-dots-on-blk")
     betas: tuple[tuple[float, float], ...] = ((0.0, 0.0), (1.5, -0.8), (-1.5, 0.8))
@@ -58,9 +58,10 @@ class Descent:
 def main(config: Config) -> None:
     """Follow every garment on every body, and draw one of each design."""
     session, descents, restless = Session(one_size=True), [], []
+    garments = {design: session.prepare(design) for design in config.designs}
     jobs = [(d, f, b) for d in config.designs for f in config.fabrics for b in config.betas]
     for design, fabric, betas in tqdm(jobs, desc="descents", mininterval=2):
-        dressed = session.drape(session.prepare(design), betas, fabric=fabric)
+        dressed = session.drape(garments[design], betas, fabric=fabric)
         try:
             descents.append(follow(session, session.refine(dressed), fabric))
         except NotSettled:
