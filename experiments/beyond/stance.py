@@ -57,7 +57,7 @@ class Descent:
 
 def main(config: Config) -> None:
     """Follow every garment on every body, and draw one of each design."""
-    session, descents, restless = Session(one_size=True), [], []
+    session, descents, unsettled = Session(one_size=True), [], []
     garments = {design: session.prepare(design) for design in config.designs}
     jobs = [(d, f, b) for d in config.designs for f in config.fabrics for b in config.betas]
     for design, fabric, betas in tqdm(jobs, desc="descents", mininterval=2):
@@ -65,10 +65,10 @@ def main(config: Config) -> None:
         try:
             descents.append(follow(session, session.refine(dressed), fabric))
         except NotSettled:
-            restless.append(f"{design} in {fabric} on {betas}")
+            unsettled.append(f"{design} in {fabric} on {betas}")
     results = {
         "descents": len(descents),
-        "restless": restless,
+        "unsettled": unsettled,
         "lowest": LOWEST,
         "stances": _average([d.rows for d in descents]),
         "rank": ranks(descents),
@@ -157,10 +157,10 @@ def _draw(config: Config, session: Session, descents: Sequence[Descent]) -> None
 
 def markdown(results: Mapping[str, Any]) -> list[str]:
     """One row for each stance, and the ranks."""
-    restless = results["restless"]
+    unsettled = results["unsettled"]
     lines = [
         f"{results['descents']} descents of the arms, from refined drapes in T-pose; "
-        f"{len(restless)} more found no rest and were refused{': ' if restless else ''}{'; '.join(restless)}. "
+        f"{len(unsettled)} more found no rest and were refused{': ' if unsettled else ''}{'; '.join(unsettled)}. "
         "*Skinned*: the T-pose drape moved "
         "with the nearest skin, as `--pose` does. *Simulated*: `--arms`. Inside: share of the cloth inside the posed "
         "body, before any push-out. Crossed: share of triangles that pass through others.",
