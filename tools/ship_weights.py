@@ -8,7 +8,7 @@ python -m tools.ship_weights runs/fabrics small-fabrics
 
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -52,12 +52,16 @@ MODELS = Path("tryon_jax/data/models")
 _by_name, _by_numbers = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
 
 
-def fabrics_of(model: TryOnModel) -> dict[str, str | Float[np.ndarray, " F"]]:
-    """What to drape in: the fabrics of the networks of single ones, and every embedded one by its numbers."""
-    found: dict[str, str | Float[np.ndarray, " F"]] = {name: name for name in model.config.fabrics}
-    if model.config.shared_fabrics:
-        found |= {f"{name} by numbers": np.asarray(fabric_numbers(load_fabric(name))) for name in fabric_names()}
-    return found
+Fabrics = Mapping[str, str | Float[np.ndarray, " F"]]
+"""What to drape in: by name, or by numbers."""
+
+
+def fabrics_of(model: TryOnModel, by_numbers: Sequence[str] | None = None) -> Fabrics:
+    """The fabrics of the networks of single ones, and others by their numbers, all embedded ones by default."""
+    names = fabric_names() if by_numbers is None else by_numbers
+    shared = names if model.config.shared_fabrics else ()
+    numbers = {f"{name} by numbers": np.asarray(fabric_numbers(load_fabric(name))) for name in shared}
+    return {name: name for name in model.config.fabrics} | numbers
 
 
 def _drape(model: TryOnModel, garment: Garment, betas: Any, fabric: str | Float[np.ndarray, " F"]) -> jax.Array:
@@ -95,12 +99,14 @@ def bodies_all_over_the_range() -> Float[np.ndarray, "74 2"]:
     return np.concatenate([*rings, [[0.5, 1.8], [-0.5, -1.8]]]).astype(np.float32)
 
 
-def largest_strain(model: TryOnModel, design: Design, seed: int, betas: Float[np.ndarray, "B b"]) -> Tear:
-    """The most stretched edge of a design in one topology, over bodies and all fabrics."""
+def largest_strain(
+    model: TryOnModel, design: Design, seed: int, betas: Float[np.ndarray, "B b"], fabrics: Fabrics | None = None
+) -> Tear:
+    """The most stretched edge of a design in one topology, over bodies and fabrics, by default all."""
     mesh = remesh(config_space(model.config), design, model.config.target_area, seed=seed)
     garment = prepare_mesh(model, mesh)
     worst = Tear(-1.0, "")
-    for name, fabric in fabrics_of(model).items():
+    for name, fabric in (fabrics or fabrics_of(model)).items():
         drapes = garment.unpad(_drape(model, garment, betas, fabric=fabric))
         strains = [float(edge_strain(row, mesh.faces, mesh.uv, mesh.faces_uv).max()) for row in drapes]
         k = int(np.argmax(strains))
@@ -108,11 +114,11 @@ def largest_strain(model: TryOnModel, design: Design, seed: int, betas: Float[np
     return worst
 
 
-def random_tears(model: TryOnModel, count: int, seed: int = 0) -> Iterator[Tear]:
+def random_tears(model: TryOnModel, count: int, seed: int = 0, fabrics: Fabrics | None = None) -> Iterator[Tear]:
     """The most stretched edge of each of `count` random designs, in a topology of its own, on four random bodies."""
     rng = np.random.default_rng(seed)
     for k, design in enumerate(config_space(model.config).sample(count, seed)):
-        yield largest_strain(model, design, 10_000 + k, random_betas(rng, 4, model.config.beta_ranges))
+        yield largest_strain(model, design, 10_000 + k, random_betas(rng, 4, model.config.beta_ranges), fabrics)
 
 
 def main(run: Path, name: str = "small") -> None:
