@@ -88,15 +88,14 @@ def follow(session: Session, dressed: DressedBody, fabric: str) -> Descent:
     weights, seen = session.skinning(dressed.garment), []
     began = time.process_time()
 
-    def note(_: int, residual: float, vertices: np.ndarray) -> None:
-        seen.append((vertices.copy(), residual, time.process_time() - began))
+    def note(degrees: float, residual: float, vertices: np.ndarray) -> None:
+        seen.append((degrees, vertices.copy(), residual, time.process_time() - began))
 
     simulator, betas = session.simulator, dressed.body.betas
     simulator.lower_arms(dressed.vertices, dressed.garment.pattern, load_fabric(fabric), betas, weights, LOWEST, note)
     obstacle = StanceObstacle(simulator.obstacle, betas)
-    angles = np.linspace(0.0, LOWEST, len(seen) + 1)[1:]
     rows, unposed, before = [], [], 0.0
-    for degrees, (vertices, residual, seconds) in zip(angles, seen, strict=True):
+    for degrees, vertices, residual, seconds in seen:
         pose = arms_pose(session.body, degrees).astype(np.float32)
         skin, skinned = map(
             np.asarray, pose_dressed(session.body, dressed.body.vertices, dressed.vertices, weights, pose)
@@ -114,7 +113,7 @@ def follow(session: Session, dressed: DressedBody, fabric: str) -> Descent:
         rows.append({key: float(value) for key, value in row.items()})
         unposed.append(obstacle.carry(vertices.astype(np.float64), weights, degrees, 0.0) - dressed.vertices)
         before = seconds
-    return Descent(dressed, rows, np.array(unposed), seen[-1][0])
+    return Descent(dressed, rows, np.array(unposed), seen[-1][1])
 
 
 def ranks(descents: Sequence[Descent]) -> dict[str, float]:
@@ -136,7 +135,10 @@ def ranks(descents: Sequence[Descent]) -> dict[str, float]:
 
 
 def _average(tables: Sequence[Sequence[Mapping[str, float]]]) -> list[dict[str, float]]:
-    return [{key: float(np.mean([row[key] for row in rows])) for key in rows[0]} for rows in zip(*tables, strict=True)]
+    """The mean of each stance over descents; stances in between, where one went in smaller steps, are left out."""
+    common = set.intersection(*[{row["degrees"] for row in table} for table in tables])
+    by_stance = [[row for table in tables for row in table if row["degrees"] == degrees] for degrees in sorted(common)]
+    return [{key: float(np.mean([row[key] for row in rows])) for key in rows[0]} for rows in by_stance]
 
 
 def _draw(config: Config, session: Session, descents: Sequence[Descent]) -> None:

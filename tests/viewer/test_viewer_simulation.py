@@ -72,7 +72,7 @@ def test_arms_come_down_with_the_body_that_is_shown(page, monkeypatch):
 
     def lower(_, vertices, *more):
         for k in range(1, 7):
-            more[-1](10 * k, 0.005, vertices)
+            more[-1](7.5 * k, 0.005, vertices)
         return Simulated(vertices, 0.005, 0.01, 60, np.zeros(len(vertices)))
 
     monkeypatch.setattr(Simulator, "lower_arms", lower)

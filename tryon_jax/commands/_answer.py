@@ -119,7 +119,7 @@ def answer(
     if treatment.gate and dressed.verdict is not None:
         dressed.verdict.check(dressed.garment.label)
     if treatment.arms:
-        progress = clock.progress("lowering the arms")
+        progress = clock.stances("lowering the arms")
         dressed = lower_arms(
             session, dressed, treatment.arms, outside=treatment.push_out, stopwatch=clock, progress=progress
         )

@@ -29,6 +29,20 @@ class Clock(Stopwatch):
 
         return tell
 
+    def stances(self, name: str) -> Callable[[float, float, np.ndarray], None]:
+        """Tells on the terminal, where there is one, how far the arms have come down, in one line."""
+
+        def tell(degrees: float, residual: float, _: np.ndarray) -> None:
+            if sys.stderr.isatty():
+                print(
+                    f"{f'{name}: {degrees:.1f} degrees, residual {residual:.3f}':<72}",
+                    end="\r",
+                    file=sys.stderr,
+                    flush=True,
+                )
+
+        return tell
+
     def counter(self, name: str) -> Callable[[int, int], None]:
         """Tells how many of how many are done on the terminal, where there is one, in one line."""
 

@@ -148,6 +148,7 @@ def relax(
     equilibrium: Equilibrium,
     max_steps: int = 200,
     self_contact: SelfContact | None = None,
+    pairs: SelfPairs | None = None,
 ) -> Drape:
     """Bring a garment to rest from positions near a drape, such as those of another mesh or design.
 
@@ -162,6 +163,7 @@ def relax(
         equilibrium: When it counts as at rest.
         max_steps: Steps in all.
         self_contact: As in `dress`.
+        pairs: Of the drape that it is near to, from `self_pairs`: on which side of each other parts of the cloth were.
 
     Raises:
         Diverged: Positions or forces became infinite.
@@ -170,7 +172,18 @@ def relax(
     surface = obstacle.surface(shape)
     drape = Drape(start_state(start, cloth, surface, slip), shape, surface, _no_report(), len(start))
     goal, refresh = equilibrium.tolerance, equilibrium.refresh
-    return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact)
+    return _settle(drape, cloth, fabric, settings, goal, max_steps, refresh, None, self_contact, pairs)
+
+
+def self_pairs(drape: Drape, cloth: Cloth, self_contact: SelfContact) -> SelfPairs:
+    """Which parts of a drape are near each other, and on which side.
+
+    Args:
+        drape: The drape.
+        cloth: Rest state.
+        self_contact: What is near.
+    """
+    return _pairs(drape.state, cloth, drape.num_vertices, self_contact, None)
 
 
 def follow(
@@ -298,13 +311,13 @@ def _settle(
     refresh: int,
     motion: jnp.ndarray | None,
     self_contact: SelfContact | None = None,
+    pairs: SelfPairs | None = None,
 ) -> Drape:
     """Solve in pieces of `refresh` steps, searching closest points anew between them."""
     state, report = drape.state, drape.report
     still = jnp.zeros_like(drape.surface.vertices)
     motion = still if motion is None else motion
     steps = iterations = 0
-    pairs = None
     if self_contact is not None:
         refresh = min(refresh, self_contact.refresh)
     while steps < max_steps and (steps == 0 or float(report.residual) > tolerance):

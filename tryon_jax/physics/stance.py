@@ -11,7 +11,7 @@ from tryon_jax.body.pose import skinning_motion
 from tryon_jax.body.stance import arms_pose
 from tryon_jax.contact.surface import Surface
 from tryon_jax.physics.cloth import Cloth
-from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, relax
+from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, relax, self_pairs
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.proxy import skinning_weights
 from tryon_jax.physics.self_contact import SelfContact
@@ -19,6 +19,8 @@ from tryon_jax.physics.solver import SolverSettings
 
 STEP = 7.5
 """Degrees between two stances of a descent."""
+SMALLEST_STEP = STEP / 4
+"""Cloth that finds no rest, because it is caught in itself, tries again with half the step, down to this."""
 _motion = jax.jit(skinning_motion)
 
 
@@ -88,6 +90,8 @@ def lower_arms(
 ) -> Iterator[Stance]:
     """Drapes from the T-pose to a stance, `STEP` degrees or less apart: skinned along with the arms, then at rest.
 
+    The last may not be at rest: its report tells.
+
     Args:
         drape: At rest in T-pose.
         weights: Skinning weights of its vertices; rows sum to 1.
@@ -102,13 +106,15 @@ def lower_arms(
     Raises:
         Diverged: Positions or forces became infinite.
     """
-    count = max(1, int(np.ceil(degrees / STEP - 1e-9)))
     contact = self_contact or SelfContact()
-    before = 0.0
-    for after in np.linspace(0.0, degrees, count + 1)[1:]:
-        start = obstacle.carry(drape.vertices.astype(np.float64), weights, before, float(after))
+    before, step = 0.0, STEP
+    while before < degrees:
+        after = min(before + step, degrees)
+        # Skinning may move one part of the cloth through another: sides are those of the drape before.
+        pairs = self_pairs(drape, cloth, contact)
+        start = obstacle.carry(drape.vertices.astype(np.float64), weights, before, after)
         slip = np.asarray(drape.state.slip)[: drape.num_vertices]
-        drape = relax(
+        found = relax(
             start,
             slip,
             np.array([after]),
@@ -119,6 +125,10 @@ def lower_arms(
             equilibrium,
             equilibrium.max_steps,
             contact,
+            pairs,
         )
-        before = float(after)
+        if not found.converged(equilibrium) and step > SMALLEST_STEP:
+            step *= 0.5
+            continue
+        before, drape = after, found
         yield Stance(before, drape)

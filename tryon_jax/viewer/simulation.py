@@ -9,7 +9,6 @@ import numpy as np
 
 from tryon_jax.body import pose_body
 from tryon_jax.body.stance import LOWEST, arms_pose
-from tryon_jax.physics.stance import STEP
 from tryon_jax.viewer.page_model import Result, ShownMesh
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.stance import lower_arms
@@ -87,15 +86,12 @@ class Simulation:
 
     def _lower_arms(self) -> str:
         start, shown = time.perf_counter(), self._dressed
-        count = round(LOWEST / STEP)
-        stances = iter(range(1, count + 1))
 
-        def progress(_: int, __: float, vertices: np.ndarray) -> None:
+        def progress(degrees: float, _: float, vertices: np.ndarray) -> None:
             self._stop_if_cancelled()
-            done = next(stances)
-            pose = arms_pose(self._session.body, LOWEST * done / count).astype(np.float32)
+            pose = arms_pose(self._session.body, degrees).astype(np.float32)
             skin, _joints = pose_body(self._session.body, shown.body.betas, pose)
-            self._tell(done / count, vertices, np.asarray(skin))
+            self._tell(degrees / LOWEST, vertices, np.asarray(skin))
 
         standing = lower_arms(self._session, shown, LOWEST, progress=progress)
         self._tell(1.0, standing.vertices, standing.body.vertices)

@@ -37,6 +37,8 @@ NEARLY = 5.0
 
 Progress = Callable[[int, float, np.ndarray], None]
 """Told the steps done, the residual and the vertices (metres) after each piece; what it raises ends the simulation."""
+StanceProgress = Callable[[float, float, np.ndarray], None]
+"""Told the angle of the arms (degrees), the residual and the vertices (metres) of each stance."""
 
 
 class NotSettled(ValueError):
@@ -206,7 +208,7 @@ class Simulator:
         betas: Float[np.ndarray, " b"],
         weights: Float[np.ndarray, "V J"],
         degrees: float,
-        progress: Progress | None = None,
+        progress: StanceProgress | None = None,
     ) -> Simulated:
         """A drape on a body in T-pose, followed while the arms come down, in contact with itself.
 
@@ -232,7 +234,7 @@ class Simulator:
             drape = stance.drape
             steps += int(drape.report.steps)
             if progress is not None:
-                progress(steps, float(drape.report.residual), drape.vertices)
+                progress(stance.degrees, float(drape.report.residual), drape.vertices)
         result = self._result(vertices, replace(drape, report=replace(drape.report, steps=jnp.asarray(steps))))
         if result.residual > NEARLY * result.tolerance:
             raise NotSettled(

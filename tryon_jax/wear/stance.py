@@ -10,7 +10,7 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.gate import judge
 from tryon_jax.wear.session import Session
-from tryon_jax.wear.simulate import Progress
+from tryon_jax.wear.simulate import StanceProgress
 from tryon_jax.wear.stopwatch import Stopwatch
 
 _EXACT = 0.05
@@ -24,7 +24,7 @@ def lower_arms(
     *,
     outside: bool = True,
     stopwatch: Stopwatch | None = None,
-    progress: Progress | None = None,
+    progress: StanceProgress | None = None,
 ) -> DressedBody:
     """The same body and garment with the arms down, by simulation from the drape in T-pose.
 
@@ -38,7 +38,7 @@ def lower_arms(
         degrees: Of the arms below the horizontal, 0 to `body.stance.LOWEST`.
         outside: Push what is left inside the body out of it.
         stopwatch: Takes the time of "arms".
-        progress: Told after each step of the arms.
+        progress: Told after each stance on the way.
 
     Returns:
         With its verdict.

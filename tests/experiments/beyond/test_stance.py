@@ -21,7 +21,7 @@ def test_distance_and_rank_of_a_known_descent(tmp_path: Path, monkeypatch: pytes
         obstacle = StanceObstacle(self.obstacle, betas)
         for after in np.linspace(0.0, degrees, 4)[1:]:
             moved = obstacle.carry(vertices + np.array([0.003, 0.0, 0.0]), weights, 0.0, after)
-            progress(10, 0.005, moved.astype(np.float32))
+            progress(float(after), 0.005, moved.astype(np.float32))
         return Simulated(moved.astype(np.float32), 0.005, 0.01, 30, np.zeros(len(vertices)))
 
     monkeypatch.setattr(Simulator, "lower_arms", lower)
