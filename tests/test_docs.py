@@ -77,6 +77,9 @@ def provide(given: dict[str, str]) -> None:
             shutil.copy(weights, given["--weights"])
     if "--garment" in given:
         write_mesh(given["--garment"], [mesh_part("garment", *load_example("own_garment").tube_dress(12, 24))])
+    if given.get("--fabric", "").endswith(".toml"):
+        table = resources.files("tryon_jax").joinpath("data/fabrics.toml").read_text()
+        Path(given["--fabric"]).write_text("[mine" + table.partition("[royal-target")[2].partition("\n[")[0])
     if "--sizes" in given:
         Path(given["--sizes"]).write_text("name,design,garment_chest\nS,tshirt,0.94\nM,tshirt,1.02\n", encoding="utf-8")
     if "--smpl" in given:

@@ -77,10 +77,16 @@ def fit_all_fabrics(
 
 
 def check_fabrics(root: Path, fabric_root: Path, fabrics: Sequence[str], functions: int) -> None:
-    """Refuses what cannot be trained; arguments as in `fit_all_fabrics`.
+    """Refuse what cannot be trained.
+
+    Args:
+        root: Folder of the dataset with few fabrics and many garments.
+        fabric_root: Folder of the dataset with many fabrics.
+        fabrics: Names of the fabrics that are to be trained on.
+        functions: Fabric functions.
 
     Raises:
-        ValueError: as there.
+        ValueError: As in `fit_all_fabrics`.
     """
     there = set(read_config(fabric_root).fabrics)
     missing = [fabric for fabric in fabrics if fabric not in there]
