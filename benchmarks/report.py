@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._before_after import compared, read_record
+from benchmarks._host_steps import host_sections, load_host_records
 from benchmarks._platforms import aims_table, key, platform_table, share_of_ceiling
 from benchmarks.campaign import OUTCOMES
 from benchmarks.compare import ALL
@@ -192,13 +193,19 @@ def campaign_section(campaigns: Sequence[dict[str, Any]]) -> list[str]:
     return ["## Random cases", about, table(lines), *(["\n".join(faults)] if faults else [])]
 
 
-def page(records: Sequence[dict[str, Any]], pictures: Sequence[str], campaigns: Sequence[dict[str, Any]] = ()) -> str:
+def page(
+    records: Sequence[dict[str, Any]],
+    pictures: Sequence[str],
+    campaigns: Sequence[dict[str, Any]] = (),
+    host: Sequence[dict[str, Any]] = (),
+) -> str:
     """The whole page.
 
     Args:
         records: Of `compare`.
         pictures: Names of the plots.
         campaigns: Records of `campaign`.
+        host: Records of `wear` and `picture`.
     """
     parts = [
         BEGIN,
@@ -228,7 +235,7 @@ def page(records: Sequence[dict[str, Any]], pictures: Sequence[str], campaigns: 
         made = subject_table(subject, records)
         if made:
             parts += [f"## {subject[0].upper()}{subject[1:]}", ABOUT[subject], made]
-    parts += campaign_section(campaigns)
+    parts += [*host_sections(host), *campaign_section(campaigns)]
     lines = skipped_list(records)
     if lines:
         parts += ["## Not measured", "\n".join(lines)]
@@ -303,5 +310,5 @@ def main(config: Config) -> None:
         return
     records = load_records(config.results)
     pictures = draw(records, config.out.parent / "images") if config.plots else []
-    write_text(config.out, page(records, pictures, load_campaigns(config.results)))
+    write_text(config.out, page(records, pictures, load_campaigns(config.results), load_host_records(config.results)))
     print(f"wrote {config.out} from {len(records)} records")
