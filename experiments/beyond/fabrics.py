@@ -179,7 +179,7 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         f"of a fabric {', '.join(FABRIC_NUMBERS[:-1])} and {FABRIC_NUMBERS[-1]}, from its measured tables. *As the "
         "nearest*: the same network is told the numbers of the most similar other trained fabric. *Simulated as the "
         "nearest*: that fabric's own simulation in place of any prediction. *One R_fine each*: the shipped network of "
-        "that fabric alone, which saw more garments in it.",
+        "that fabric alone, which had seen a few designs fewer.",
         "",
         "| fabric | trained on | told the fabric | as the nearest | simulated as the nearest | one R_fine each | "
         "curvature predicted, 1/m | simulated |",

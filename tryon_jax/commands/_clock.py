@@ -34,12 +34,8 @@ class Clock(Stopwatch):
 
         def tell(degrees: float, residual: float, _: np.ndarray) -> None:
             if sys.stderr.isatty():
-                print(
-                    f"{f'{name}: {degrees:.1f} degrees, residual {residual:.3f}':<72}",
-                    end="\r",
-                    file=sys.stderr,
-                    flush=True,
-                )
+                line = f"{name}: {degrees:.1f} degrees, residual {residual:.3f}"
+                print(f"{line:<72}", end="\r", file=sys.stderr, flush=True)
 
         return tell
 

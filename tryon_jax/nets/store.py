@@ -7,9 +7,9 @@ every name, shape and type with what the model expects before anything is return
 import dataclasses
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,7 @@ from tryon_jax.checks import check_file
 from tryon_jax.files.atomic import write_bytes
 from tryon_jax.types import Body
 
+Tree = TypeVar("Tree")
 SCHEMA = "tryon_jax/parameters/1"
 """Name and version of the file format."""
 
@@ -128,6 +129,29 @@ def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: boo
     if faults:
         raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(sorted(faults)[:8]))
     return {name: jnp.asarray(arrays[name]) for name in expected}
+
+
+def load_tree(path: str | Path, build: Callable[[], Tree]) -> Tree:
+    """The arrays of a store in the tree that `build` makes; in whatever precision they are stored.
+
+    Args:
+        path: File to read.
+        build: Makes such a tree. It is traced for its shapes alone: nothing is initialised.
+
+    Raises:
+        ValueError: as in `load_store`.
+    """
+    built: list[Any] = []
+
+    def expected() -> dict[str, Array]:
+        tree = build()
+        named = tree_names(tree)
+        built.append((jax.tree.structure(tree), list(named)))
+        return named
+
+    arrays = load_store(path, jax.eval_shape(expected), any_precision=True)
+    structure, names = built[0]
+    return jax.tree.unflatten(structure, [arrays[name] for name in names])
 
 
 def compare_records(found: Mapping[str, Any], wanted: Mapping[str, Any], where: str = "") -> list[str]:

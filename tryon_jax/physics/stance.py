@@ -90,7 +90,7 @@ def lower_arms(
 ) -> Iterator[Stance]:
     """Drapes from the T-pose to a stance, `STEP` degrees or less apart: skinned along with the arms, then at rest.
 
-    The last may not be at rest: its report tells.
+    After the smallest steps a drape is taken as it is: its report tells whether it is at rest.
 
     Args:
         drape: At rest in T-pose.
@@ -127,8 +127,8 @@ def lower_arms(
             contact,
             pairs,
         )
-        if not found.converged(equilibrium) and step > SMALLEST_STEP:
-            step *= 0.5
+        if not found.converged(equilibrium) and after - before > SMALLEST_STEP:
+            step = 0.5 * (after - before)
             continue
         before, drape = after, found
         yield Stance(before, drape)

@@ -33,8 +33,8 @@ from tryon_jax.training.recipes import (
     save_stage,
     training_names,
 )
-from tryon_jax.training.stages import Predictor, StageSet, fine_sets
-from tryon_jax.tryon import ALL_FABRICS, TryOnModel, base_and_detail, fine_base, init_model, load_model, save_model
+from tryon_jax.training.stages import Predictor, StageSet, displacements, fine_sets
+from tryon_jax.tryon import ALL_FABRICS, TryOnModel, init_model, load_model, save_model
 
 
 def fit_all_fabrics(
@@ -135,17 +135,13 @@ def _columns(
     places = [{tuple(s.betas[row]): row for row in np.flatnonzero(s.train)} for s in of_garment]
     shapes = sorted({shape for place in places for shape in place})
     common = [shape for shape in shapes if 2 * sum(shape in place for place in places) >= len(places)]
-    garment = of_garment[0].garment
-    _, detail = base_and_detail(model.config, garment)
-    vertices = np.flatnonzero(np.asarray(garment.graph.mask))[::EVERY]
-    base = np.asarray(fine_base(model.config, detail))[None, vertices]
+    vertices = np.flatnonzero(np.asarray(of_garment[0].garment.graph.mask))[::EVERY]
     drapes = np.zeros((len(of_garment), len(common), len(vertices), 3), np.float32)
     known = np.zeros((len(of_garment), len(common)), bool)
     for k, (s, place) in enumerate(zip(of_garment, places, strict=True)):
         here = [i for i, shape in enumerate(common) if shape in place]
-        rows = [place[common[i]] for i in here]
-        assert s.inputs is not None
-        drapes[k, here] = (s.targets[rows][:, vertices] - s.inputs[rows][:, vertices] - base) / np.sqrt(len(vertices))
+        rows = np.array([place[common[i]] for i in here], int)
+        drapes[k, here] = displacements(model.config, s, rows)[:, vertices] / np.sqrt(len(vertices))
         known[k, here] = True
     flat = drapes.reshape(len(of_garment), -1)
     return flat, np.broadcast_to(known[:, :, None, None], drapes.shape).reshape(flat.shape)

@@ -19,9 +19,9 @@ from scipy.interpolate import RBFInterpolator
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.training.collisions import random_betas
-from tryon_jax.training.stages import StageSet
+from tryon_jax.training.stages import StageSet, displacements
 from tryon_jax.training.thin_plate import thin_plate
-from tryon_jax.tryon import Stage, base_and_detail, fine_base
+from tryon_jax.tryon import Stage
 from tryon_jax.tryon.stages import field_coefficients
 
 EVERY = 4
@@ -119,12 +119,8 @@ def _common_drapes(
     for s in chosen:
         rows = [row for row in np.flatnonzero(s.train) if tuple(s.betas[row]) in place]
         at = [place[tuple(s.betas[row])] for row in rows]
-        base, detail = base_and_detail(config, s.garment)
-        start = np.asarray(base)[None]
-        if s.inputs is not None:
-            start = s.inputs[rows] + np.asarray(fine_base(config, detail))[None]
         vertices = np.flatnonzero(np.asarray(s.garment.graph.mask))[::EVERY]
-        moved = (s.targets[rows] - start)[:, vertices] / np.sqrt(len(vertices))
+        moved = displacements(config, s, np.array(rows))[:, vertices] / np.sqrt(len(vertices))
         column = np.zeros((len(common), 3 * len(vertices)), np.float32)
         column[at] = moved.reshape(len(rows), -1)
         known = np.zeros(column.shape, bool)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.config import TryOnConfig
@@ -271,14 +271,23 @@ def displacement_scale(config: TryOnConfig, sets: Sequence[StageSet]) -> float:
     squares, count = 0.0, 0
     for s in sets:
         chosen = np.flatnonzero(s.train)[:: max(1, int(s.train.sum()) // 8)]
-        base, detail = base_and_detail(config, s.garment)
-        start = np.asarray(base)[None]
-        if s.inputs is not None:
-            start = s.inputs[chosen] + np.asarray(fine_base(config, detail))[None]
         mask = np.asarray(s.garment.graph.mask)
-        squares += float(((s.targets[chosen] - start)[:, mask] ** 2).sum())
+        squares += float((displacements(config, s, chosen)[:, mask] ** 2).sum())
         count += len(chosen) * int(mask.sum()) * 3
     return float(np.sqrt(squares / max(count, 1)))
+
+
+def displacements(config: TryOnConfig, s: StageSet, rows: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R N 3"]:
+    """What the stage has to add in some samples of a garment, metres.
+
+    Args:
+        config: Of the model.
+        s: The garment's samples.
+        rows: Which of them.
+    """
+    base, detail = base_and_detail(config, s.garment)
+    start = np.asarray(base)[None] if s.inputs is None else s.inputs[rows] + np.asarray(fine_base(config, detail))[None]
+    return s.targets[rows] - start
 
 
 class BatchSource:

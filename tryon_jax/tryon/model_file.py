@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-from jaxtyping import Array
 
 from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice
@@ -73,18 +72,7 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
     faults = store.compare_records(record, _record(config, body))
     if faults:
         raise ValueError(f"{str(path)!r} was made for something else: " + "; ".join(faults))
-    built: list[Any] = []
-
-    def expected() -> dict[str, Array]:
-        parameters = model_parameters(init_model(jax.random.key(0), config, body=body))
-        named = store.tree_names(parameters)
-        built.append((jax.tree.structure(parameters), list(named)))
-        return named
-
-    # Shapes only: nothing is initialised.
-    arrays = store.load_store(path, jax.eval_shape(expected), any_precision=True)
-    structure, names = built[0]
-    parameters = jax.tree.unflatten(structure, [arrays[name] for name in names])
+    parameters = store.load_tree(path, lambda: model_parameters(init_model(jax.random.key(0), config, body=body)))
     return TryOnModel(**parameters, body=body, config=config)
 
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import jax
-from jaxtyping import Array
 
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
@@ -58,19 +57,8 @@ def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
     if faults:
         raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(faults))
     alone = dataclasses.replace(config, fabrics=())
-    built: list[Any] = []
-
-    def expected() -> dict[str, Array]:
-        stage = {ALL_FABRICS: init_model(jax.random.key(0), alone, body=model.body).fine[ALL_FABRICS]}
-        named = store.tree_names(stage)
-        built.append((jax.tree.structure(stage), list(named)))
-        return named
-
-    # Shapes only: nothing is initialised.
-    arrays = store.load_store(path, jax.eval_shape(expected), any_precision=True)
-    structure, names = built[0]
-    stage = jax.tree.unflatten(structure, [arrays[name] for name in names])
-    return dataclasses.replace(model, fine={**model.fine, **stage}, config=config)
+    fine = store.load_tree(path, lambda: init_model(jax.random.key(0), alone, body=model.body).fine)
+    return dataclasses.replace(model, fine={**model.fine, **fine}, config=config)
 
 
 def _basis(model: TryOnModel) -> str:

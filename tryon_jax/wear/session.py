@@ -260,21 +260,30 @@ class Session(SessionGarments):
         if dressed.fit is None:
             dressed = self.measure(dressed, stopwatch=watch)
         assert dressed.fit is not None
-        garment = dressed.garment
         with watch.stage("gate"):
-            verdict = judge(
-                dressed.vertices,
-                garment.faces,
-                garment.uv,
-                garment.faces_uv,
-                self.body,
-                dressed.body.vertices,
-                mean=garment.garment.mean_vertices,
-                pushed=dressed.pushed,
-                clearance=dressed.fit.clearance,
-            )
-            far = self.judge_body(dressed.body)
-        return replace(dressed, verdict=Verdict((*far.findings, *verdict.findings)))
+            verdict = self.verdict(dressed, dressed.fit.clearance)
+        return replace(dressed, verdict=verdict)
+
+    def verdict(self, dressed: DressedBody, clearance: Float[np.ndarray, " V"]) -> Verdict:
+        """What the gate says of a dressed body in any stance.
+
+        Args:
+            dressed: The dressed body.
+            clearance: Distance of each vertex of the garment from the body, metres.
+        """
+        garment = dressed.garment
+        found = judge(
+            dressed.vertices,
+            garment.faces,
+            garment.uv,
+            garment.faces_uv,
+            self.body,
+            dressed.body.vertices,
+            mean=garment.garment.mean_vertices,
+            pushed=dressed.pushed,
+            clearance=clearance,
+        )
+        return Verdict((*self.judge_body(dressed.body).findings, *found.findings))
 
     def push_out(
         self, dressed: DressedBody, clearance: float = CLEARANCE, *, stopwatch: Stopwatch | None = None

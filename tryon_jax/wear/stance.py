@@ -6,15 +6,12 @@ import numpy as np
 
 from tryon_jax.body.pose import pose_body
 from tryon_jax.body.stance import arms_pose
+from tryon_jax.contact.push_out import EXACT_BELOW
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.wear.dressed import DressedBody
-from tryon_jax.wear.gate import judge
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.simulate import StanceProgress
 from tryon_jax.wear.stopwatch import Stopwatch
-
-_EXACT = 0.05
-"""Distances from the body below this are exact, metres."""
 
 
 def lower_arms(
@@ -77,16 +74,8 @@ def lower_arms(
     if outside:
         standing = replace(session.push_out(standing, stopwatch=watch), fit=dressed.fit)
     with watch.stage("gate"):
-        garment = standing.garment
-        verdict = judge(
-            standing.vertices,
-            garment.faces,
-            garment.uv,
-            garment.faces_uv,
-            session.body,
-            skin,
-            mean=garment.garment.mean_vertices,
-            pushed=standing.pushed,
-            clearance=standing.body.surface.closest(standing.vertices.astype(np.float64), exact_below=_EXACT).distance,
-        )
-    return replace(standing, verdict=verdict)
+        if standing.pushed is not None:
+            clearance = standing.pushed.distance
+        else:
+            clearance = standing.body.surface.closest(standing.vertices.astype(np.float64), EXACT_BELOW).distance
+        return replace(standing, verdict=session.verdict(standing, clearance))
