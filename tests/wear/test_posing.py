@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from tryon_jax.body import load_body, pose_body, shape_body
-from tryon_jax.wear.posing import pose_dressed, read_pose, soft_skinning
+from tryon_jax.graph.skinning import soft_skinning
+from tryon_jax.wear.posing import pose_dressed, read_pose
 
 
 @pytest.fixture(scope="module")

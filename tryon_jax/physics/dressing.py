@@ -7,6 +7,7 @@ the mean body outwards: the result is then a function of the shape, not of the o
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -24,6 +25,7 @@ from tryon_jax.physics.self_contact import SelfContact, SelfPairs, find_pairs
 from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
 from tryon_jax.types import Body
 
+Found = TypeVar("Found")
 FAR_AWAY = 5.0
 """Metres from the body where padding vertices rest."""
 _solve = jax.jit(solve)
@@ -34,6 +36,14 @@ _sample_points = jax.jit(sample_points)
 
 class Diverged(ValueError):
     """Positions or forces became infinite: a broken mesh, or a body that the garment cannot be put on."""
+
+
+def until_diverged(found: Iterator[Found]) -> Iterator[Found]:
+    """What a simulation yields before it diverges, if it does."""
+    try:
+        yield from found
+    except Diverged:
+        return
 
 
 @dataclass(frozen=True)

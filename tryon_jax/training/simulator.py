@@ -5,7 +5,7 @@ Tasks of one kind are done together: one by one on a CPU, side by side where sev
 
 import functools
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.mlp import MeanDrape
 from tryon_jax.physics.batch import dress_many, relax_many, sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
-from tryon_jax.physics.dressing import Diverged, Drape, Equilibrium, Obstacle, dress, relax, sweep
+from tryon_jax.physics.dressing import Diverged, Drape, Equilibrium, Obstacle, dress, relax, sweep, until_diverged
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.training.dataset import (
@@ -291,7 +291,7 @@ class Simulator:
             for k in begun:
                 s = subjects[k]
                 steps = sweep(at_rest[k], shapes[k], s.cloth, s.fabric, body, settings, equilibrium)  # pyright: ignore[reportArgumentType]
-                for i, drape in enumerate(_until_diverged(steps)):
+                for i, drape in enumerate(until_diverged(steps)):
                     found[k][i] = drape
             return found
         for group in _by_bucket([subjects[k].cloth for k in begun]):
@@ -394,13 +394,6 @@ def _simulate(
         for k, drape in zip(group, many([jobs[i] for i in group]), strict=True):
             found[k] = drape if np.isfinite(float(drape.report.residual)) else None
     return found
-
-
-def _until_diverged(drapes: Iterator[Drape]) -> Iterator[Drape]:
-    try:
-        yield from drapes
-    except Diverged:
-        return
 
 
 def _slip(drape: Drape | None, count: int) -> Float[np.ndarray, "V 3"]:

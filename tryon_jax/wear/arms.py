@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from tryon_jax.graph.skinning import soft_skinning
 from tryon_jax.types import Body
-from tryon_jax.wear.posing import soft_skinning
 
 _SIDES = (("L_shoulder", -1.0), ("R_shoulder", 1.0))
 

@@ -53,7 +53,7 @@ class OtherBody:
 
         Args:
             garment: the drape, metres.
-            weights: its skinning weights on the networks' body, e.g. from `tryon_jax.wear.posing.soft_skinning`.
+            weights: its skinning weights on the networks' body, e.g. from `tryon_jax.graph.skinning.garment_skinning`.
             known_betas: shape of the networks' body that it was draped on.
             betas: shape of this body.
         """

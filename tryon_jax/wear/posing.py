@@ -9,38 +9,11 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse as sp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from tryon_jax.body import pose_body
 from tryon_jax.checks import check_file, check_finite
-from tryon_jax.mesh.topology import unique_edges
 from tryon_jax.types import ArrayLike, Body
-
-_ROUNDS = 40
-
-
-def soft_skinning(
-    weights: Float[np.ndarray, "V J"], faces: Int[np.ndarray, "F 3"], rounds: int = _ROUNDS
-) -> Float[np.ndarray, "V J"]:
-    """Skinning weights of a garment, averaged over neighbours; rows still sum to 1.
-
-    Weights of the closest body vertex jump where the closest limb changes, as in the middle of a skirt: skinned with
-    them the cloth would tear between the legs.
-
-    Args:
-        weights: Skinning weights of each vertex; rows sum to 1.
-        faces: Triangles.
-        rounds: How often to average.
-    """
-    edges, _ = unique_edges(faces, len(weights))
-    both = np.concatenate([edges, edges[:, ::-1]])
-    links = sp.coo_array((np.ones(len(both)), (both[:, 0], both[:, 1])), shape=(len(weights), len(weights))).tocsr()
-    count = np.maximum(links.sum(axis=1), 1)
-    soft = np.asarray(weights, np.float64)
-    for _ in range(rounds):
-        soft = 0.5 * soft + 0.5 * (links @ soft) / count[:, None]
-    return soft / np.maximum(soft.sum(axis=1, keepdims=True), 1e-12)
 
 
 def pose_dressed(
@@ -56,7 +29,7 @@ def pose_dressed(
         body: its joints, weights and, where it has them, pose blend shapes (which the garment does not follow).
         body_vertices: the shaped body in T-pose, metres.
         vertices: the garment on it, metres.
-        weights: skinning weights of the garment, e.g. from `soft_skinning`.
+        weights: skinning weights of the garment, e.g. from `garment_skinning`.
         pose: axis-angle vector of each joint relative to its parent, radians.
 
     Raises:

@@ -10,14 +10,13 @@ from jaxtyping import Float
 from tryon_jax.body import MeasurementFit, betas_from_measurements, full_betas, shape_body
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.body.measurements import measure_vertices
-from tryon_jax.graph.build import closest_body_vertices
+from tryon_jax.graph.skinning import garment_skinning
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import ShapedBody
 from tryon_jax.wear.gate import Verdict, judge_betas
 from tryon_jax.wear.last_used import LastUsed
 from tryon_jax.wear.other_body import OtherBody, prepare_other_body
-from tryon_jax.wear.posing import soft_skinning
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.stopwatch import Stopwatch
 
@@ -92,5 +91,4 @@ class SessionBodies:
 
     def skinning(self, garment: PreparedGarment) -> Float[np.ndarray, "V J"]:
         """Skinning weights of the garment on the networks' body."""
-        nearest = closest_body_vertices(garment.garment.mean_vertices, self.model.body)
-        return soft_skinning(np.asarray(self.model.body.lbs_weights)[nearest], garment.faces)
+        return garment_skinning(garment.garment.mean_vertices, garment.faces, self.model.body)
