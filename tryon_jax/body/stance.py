@@ -27,10 +27,22 @@ def arms_pose(body: Body, degrees: float) -> Float[np.ndarray, "J 3"]:
         ValueError: An angle out of range, or a body without shoulders and elbows of these names.
     """
     angle = np.deg2rad(check_range("arms", degrees, 0.0, LOWEST, "degrees below the horizontal"))
-    pose = np.zeros((len(body.parents), 3))
+    return angle * arms_turns(body)
+
+
+def arms_turns(body: Body) -> Float[np.ndarray, "J 3"]:
+    """Axis-angle vectors of `arms_pose` for each radian that the arms come down; host side, no device value is read.
+
+    Args:
+        body: With SMPL's joints.
+
+    Raises:
+        ValueError: A body without shoulders and elbows of these names.
+    """
+    turns = np.zeros((len(body.parents), 3))
     for side, sign in _SIDES:
         for joint, turn in ((f"{side}_shoulder", (0.0, 0.0, -1.0)), (f"{side}_elbow", (0.0, -ELBOW_BEND, 0.0))):
             if joint not in body.joint_names:
                 raise ValueError(f"body {body.name!r} has no joint {joint!r}: its arms cannot be lowered")
-            pose[body.joint_names.index(joint)] = sign * angle * np.array(turn)
-    return pose
+            turns[body.joint_names.index(joint)] = sign * np.array(turn)
+    return turns

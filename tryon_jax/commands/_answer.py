@@ -24,6 +24,10 @@ FAILURES = (ValueError, TypeError, OSError, FloatingPointError)
 """What goes wrong with one request and says nothing of the others."""
 
 
+PICTURE_ARMS = 45.0
+"""Degrees below the horizontal that arms have in pictures where nothing is said: nobody stands in a T-pose."""
+
+
 @dataclass(frozen=True)
 class Treatment:
     """What is done to every garment of a command."""
@@ -37,8 +41,8 @@ class Treatment:
     """Drape by simulation alone."""
     gate: bool = True
     """Refuse what is torn or lies in the body."""
-    arms: float = 0.0
-    """Degrees by which the arms are lowered, by simulation."""
+    arms: float | None = None
+    """Degrees by which the arms are lowered; None: only in the picture of a learned drape, by `PICTURE_ARMS`."""
     own: OwnOptions = field(default_factory=OwnOptions)
     seed: int = 0
 
@@ -128,6 +132,30 @@ def answer(
     if pose is not None:
         dressed = session.pose(dressed, pose, stopwatch=clock)
     return dressed, draped.remarks
+
+
+def pictured(
+    session: Session,
+    dressed: DressedBody,
+    treatment: Treatment,
+    clock: Clock,
+    pose: Float[np.ndarray, "J 3"] | None = None,
+) -> DressedBody:
+    """What a picture shows: a learned drape with the arms down, where neither stance nor pose was asked for.
+
+    Args:
+        session: What drapes.
+        dressed: From `answer`.
+        treatment: As there.
+        clock: Takes the time.
+        pose: As there.
+    """
+    asked = treatment.arms is not None or pose is not None
+    if asked or dressed.simulated is not None or session.model.stance is None or session.other is not None:
+        return dressed
+    standing = lower_arms(session, dressed, PICTURE_ARMS, outside=treatment.push_out, stopwatch=clock)
+    torn = treatment.gate and standing.verdict is not None and standing.verdict.outcome == "refused"
+    return dressed if torn else standing
 
 
 def drape_together(

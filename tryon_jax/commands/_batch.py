@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from tryon_jax.commands._answer import FAILURES, Draped, Treatment, answer, check, drape_together
+from tryon_jax.commands._answer import FAILURES, Draped, Treatment, answer, check, drape_together, pictured
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
 from tryon_jax.commands._report import record, report_lines
@@ -95,7 +95,8 @@ class Batch:
         """Drape one row and write its files; what goes wrong becomes part of the record."""
         try:
             dressed, remarks = answer(session, request, self.treatment, clock, self.pose, draped)
-            written = target.write(dressed, request.name, self.output, clock)
+            shown = None if target.picture is None else pictured(session, dressed, self.treatment, clock, self.pose)
+            written = target.write(dressed, request.name, self.output, clock, shown=shown)
         except (Refused, Diverged) as error:
             say(f"refused  {error}")
             return {"name": request.name, "outcome": "refused", "error": str(error)}

@@ -73,6 +73,7 @@ class Target:
         output: OutputOptions,
         clock: Clock,
         morphs: MorphTargets | None = None,
+        shown: DressedBody | None = None,
     ) -> Sequence[Path]:
         """Write all of them, then put all in their places.
 
@@ -82,11 +83,13 @@ class Target:
             output: How it is drawn, and what the mesh holds.
             clock: Takes the time.
             morphs: Targets of body and garment, which the mesh then has; they stand at the dressed body's betas.
+            shown: What the picture shows, in another stance; `dressed` when None.
 
         Returns:
             Their paths.
         """
         colors = None if output.map is None or dressed.fit is None else map_colors(dressed.fit, output.map)
+        shown = shown or dressed
         with together():
             if self.mesh is not None:
                 with clock.stage("mesh file"):
@@ -99,8 +102,8 @@ class Target:
                     options = {} if colors is None else {"garment_colors": colors, "scale": MAPS[str(output.map)]}
                     render_picture(
                         self.picture,
-                        (dressed.body.vertices, dressed.body.faces),
-                        (dressed.vertices, dressed.faces),
+                        (shown.body.vertices, shown.body.faces),
+                        (shown.vertices, shown.faces),
                         views=output.views,
                         height=output.height,
                         body_colors=mannequin_colors(dressed.body.body),

@@ -13,7 +13,7 @@ from typing import Literal
 from tryon_jax.body import load_smpl
 from tryon_jax.body.stance import LOWEST
 from tryon_jax.checks import check_file, check_range
-from tryon_jax.commands._answer import Treatment, answer
+from tryon_jax.commands._answer import Treatment, answer, pictured
 from tryon_jax.commands._batch import Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
@@ -41,8 +41,9 @@ class Config:
     own: OwnOptions = field(default_factory=OwnOptions)
     pose: Path | None = None
     """NPZ file with `pose`: an axis-angle vector for each joint, radians. Mesh and picture are posed by skinning."""
-    arms: float = 0.0
-    """Lower the arms by so many degrees, at most 45, and let the simulator hang the cloth there: a few seconds."""
+    arms: float | None = None
+    """Degrees below the horizontal that the arms are lowered, 0 to 45; with --refine or --simulate the simulator hangs
+    the cloth there. By default mesh and fit are of the T-pose, and the picture of a learned drape shows 45 degrees."""
     smpl: Path | None = None
     """File of SMPL, SMPL-H or SMPL-X (.npz or .pkl) to dress in place of the networks' body: an approximation."""
     fabric: str | None = None
@@ -127,7 +128,8 @@ def main(config: Config) -> None:
             morphs = fit_morph_targets(
                 session, dressed.garment, dressed.fabric, outside=config.push_out, progress=progress
             )
-    written = target.write(dressed, request.name, output, clock, morphs)
+    shown = None if target.picture is None else pictured(session, dressed, treatment, clock, pose)
+    written = target.write(dressed, request.name, output, clock, morphs, shown)
     lines = [] if morphs is None else morphs.lines()
     say(*report_lines(dressed, remarks), *lines, *(f"wrote    {path}" for path in written), clock)
 
@@ -164,10 +166,11 @@ def _plan(config: Config, output: OutputOptions) -> tuple[list[Request], list[Ta
     if config.refine is not None and config.simulate:
         raise ValueError("give either --refine or --simulate: one starts from the learned drape, the other without")
     _area(config)
-    check_range("--arms", config.arms, 0.0, LOWEST, "degrees below the horizontal")
+    if config.arms is not None:
+        check_range("--arms", config.arms, 0.0, LOWEST, "degrees below the horizontal")
     if config.arms and config.pose is not None:
-        raise ValueError("give either --arms or --pose: one is simulated, the other skinned")
-    for name, given in (("pose", config.pose is not None), ("arms", config.arms != 0)):
+        raise ValueError("give either --arms or --pose: a pose has its own")
+    for name, given in (("pose", config.pose is not None), ("arms", bool(config.arms))):
         if config.smpl is not None and given:
             raise ValueError(f"--{name} is for the networks' body; leave it out with --smpl")
     if config.morph_targets:
@@ -187,7 +190,7 @@ def _check_morph_targets(config: Config) -> None:
         raise ValueError(f"--morph-targets writes body and garment together; leave out --parts {config.parts}")
     for name, given in (
         ("pose", config.pose is not None),
-        ("arms", config.arms != 0),
+        ("arms", bool(config.arms)),
         ("smpl", config.smpl is not None),
         ("refine", config.refine is not None),
         ("simulate", config.simulate),

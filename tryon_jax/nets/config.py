@@ -1,7 +1,7 @@
 """Sizes and conventions of a try-on model: those with a name, or one's own."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from tryon_jax.checks import check_choice
 from tryon_jax.graph.build import NUM_LEVELS
@@ -12,6 +12,8 @@ from tryon_jax.nets.unet import UNetConfig
 
 Reference = Literal["smoothed", "paper"]
 Conditioning = Literal["fields", "node"]
+STANCE_EXTENT = 2.0
+"""What the lowest stance of the arms counts as, beside betas of about this size."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,9 @@ class TryOnConfig:
     """Functions J of a fabric's numbers that weight its fields."""
     fabric_numbers: int = 4
     """Numbers F of a fabric that those functions see."""
+    stance: bool = False
+    """The last of the betas is the stance of the arms, as `STANCE_EXTENT` scales it, and the fields' weights vanish in
+    T-pose: of R_stance (see `tryon.stance`)."""
     conditioning: Conditioning = "fields"
     """How the body's shape enters. fields: the networks see the garment alone and predict displacement fields; a
     perceptron of the betas weights their sum, so that a new body costs one product. node: the betas are features of
@@ -88,7 +93,9 @@ class TryOnConfig:
     @property
     def beta_ranges(self) -> tuple[float, ...]:
         """Largest magnitude of each beta that the networks were trained on; betas beyond `beta_extent` as its last."""
-        return tuple(self.beta_extent[min(k, len(self.beta_extent) - 1)] for k in range(self.num_betas))
+        shapes = self.num_betas - self.stance
+        known = tuple(self.beta_extent[min(k, len(self.beta_extent) - 1)] for k in range(shapes))
+        return (*known, STANCE_EXTENT) if self.stance else known
 
     @property
     def position_features(self) -> int:
@@ -126,6 +133,29 @@ class TryOnConfig:
     def known_fabrics(self) -> tuple[str, ...]:
         """Names of the fabrics that the networks were trained on."""
         return tuple(dict.fromkeys((*self.fabrics, *self.shared_fabrics)))
+
+
+def stance_config(config: TryOnConfig, fabrics: tuple[str, ...], **changes: Any) -> TryOnConfig:
+    """Sizes of the R_stance that goes with a model.
+
+    Args:
+        config: Of the model.
+        fabrics: Fabrics that it is trained on.
+        changes: Fields that differ from the default sizes.
+    """
+    sizes = {
+        "fine": UNetConfig(widths=(64, 96, 128, 160)),
+        "fields": 16,
+        "fabric_functions": 3,
+        "shared_fabrics": fabrics,
+        "fabrics": (),
+        "num_betas": config.num_betas + 1,
+        "stance": True,
+        # What it adds is added to a whole drape.
+        "reference": "paper",
+        "conditioning": "fields",
+    }
+    return replace(config, **(sizes | changes))
 
 
 def paper_form(config: TryOnConfig) -> TryOnConfig:

@@ -144,6 +144,11 @@ def run_descent(root: str, task: DescentTask) -> str:
     return f"{task.garment} {task.fabric} {task.body_name}: {last}"
 
 
+def descent_files(root: Path) -> list[Path]:
+    """All files of a dataset's descents, sorted."""
+    return sorted((root / "stances").glob("[!.]*.npz"))
+
+
 def load_descents(root: Path, garment: str, fabric: str) -> list[Descent]:
     """All descents of a garment in a fabric.
 

@@ -59,8 +59,34 @@ def principal_coefficients(config: TryOnConfig, stage: Stage, sets: Sequence[Sta
     betas, drapes, known = _common_drapes(config, sets)
     values = principal_functions(drapes, known, config.fields)
     extent = np.array(config.beta_ranges)
-    wanted = random_betas(np.random.default_rng(seed), SAMPLES, tuple(MARGIN * e for e in config.beta_ranges))
+    wanted = _random_codes(config, seed)
+    if config.stance:
+        betas, values = with_t_pose(betas, values)
     return _fit(stage.coefficients, wanted, spread_over_shapes(betas / extent, values, wanted / extent), config)
+
+
+def with_t_pose(
+    codes: Float[np.ndarray, "S b"], values: Float[np.ndarray, "S K"]
+) -> tuple[Float[np.ndarray, "R b"], Float[np.ndarray, "R K"]]:
+    """Known values and, for each body shape among them, the T-pose, where nothing changes.
+
+    Args:
+        codes: Betas and stance.
+        values: There.
+    """
+    bodies = np.unique(codes[:, :-1], axis=0)
+    still = np.concatenate([bodies, np.zeros((len(bodies), 1))], axis=1)
+    return np.concatenate([codes, still]), np.concatenate([values, np.zeros((len(still), values.shape[1]))])
+
+
+def _random_codes(config: TryOnConfig, seed: int) -> Float[np.ndarray, "N b"]:
+    """Random body shapes, each in a random stance where there are stances."""
+    rng = np.random.default_rng(seed)
+    extent = tuple(MARGIN * e for e in config.beta_ranges)
+    if not config.stance:
+        return random_betas(rng, SAMPLES, extent)
+    shapes = random_betas(rng, SAMPLES, extent[:-1])
+    return np.concatenate([shapes, rng.uniform(0.0, extent[-1], (SAMPLES, 1)).astype(np.float32)], axis=1)
 
 
 def spread_over_shapes(

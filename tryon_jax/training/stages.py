@@ -42,6 +42,8 @@ ROUNDED = 1e-4
 """Below this the plain distance is rounded off, so that its gradient stays finite; metres."""
 CHUNK = 16
 """Shapes of one garment that are predicted at once."""
+# Its scan would be compiled for every garment anew.
+_base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 
 
 @pytree
@@ -285,7 +287,7 @@ def displacements(config: TryOnConfig, s: StageSet, rows: Int[np.ndarray, " R"])
         s: The garment's samples.
         rows: Which of them.
     """
-    base, detail = base_and_detail(config, s.garment)
+    base, detail = _base_and_detail(config, s.garment)
     start = np.asarray(base)[None] if s.inputs is None else s.inputs[rows] + np.asarray(fine_base(config, detail))[None]
     return s.targets[rows] - start
 

@@ -269,22 +269,29 @@ def move_with_graph(
     return carried + jnp.asarray(own.vertices).reshape((1,) * (moved.ndim - 2) + own.vertices.shape)
 
 
-def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
-    """Fields at the vertices of the user's own mesh, where there is one: `move_with_graph` is affine."""
+def carry_values(garment: Garment, values: Float[ArrayLike, " N *rest"]) -> Float[Array, " M *rest"]:
+    """Values at the graph's vertices, interpolated at those of the user's own mesh; themselves where there is no other.
+
+    Args:
+        garment: From `prepare`.
+        values: At each vertex of the graph.
+    """
     own = garment.own
     if own is None:
+        return jnp.asarray(values)
+    near = jnp.asarray(values)[jnp.asarray(own.carriers)]
+    return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
+
+
+def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
+    """Fields at the vertices of the user's own mesh, where there is one: `move_with_graph` is affine."""
+    if garment.own is None:
         return smooth, fine
     mean = jnp.asarray(garment.graph.vertices)
-
-    def interpolated(values: Float[ArrayLike, " N *rest"]) -> Float[Array, " M *rest"]:
-        near = jnp.asarray(values)[jnp.asarray(own.carriers)]
-        return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
-
+    offset = move_with_graph(garment, jnp.asarray(smooth.offset), mean)
     return (
-        StageFields(
-            move_with_graph(garment, jnp.asarray(smooth.offset), mean), interpolated(smooth.fields), smooth.coefficients
-        ),
-        StageFields(interpolated(fine.offset), interpolated(fine.fields), fine.coefficients),
+        StageFields(offset, carry_values(garment, smooth.fields), smooth.coefficients),
+        StageFields(carry_values(garment, fine.offset), carry_values(garment, fine.fields), fine.coefficients),
     )
 
 

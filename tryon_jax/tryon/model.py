@@ -38,6 +38,15 @@ class Stage:
 
 
 @pytree
+class StanceNetwork:
+    """R_stance: a stage like the R_fine of all fabrics, whose coefficients see the stance too."""
+
+    stage: Stage
+    config: TryOnConfig = static(default=SMALL)
+    """Its own, see `stance_config`."""
+
+
+@pytree
 class TryOnModel:
     """Everything `drape` needs besides the garment: the three regressors, the body and their configuration."""
 
@@ -48,6 +57,8 @@ class TryOnModel:
     fine: dict[str, Stage]
     """R_fine of each fabric, and under the name `ALL_FABRICS` one of all where there is such."""
     body: Body
+    stance: StanceNetwork | None = None
+    """R_stance, where there is one."""
     config: TryOnConfig = static(default=SMALL)
 
 
@@ -102,7 +113,7 @@ def init_model(
     if config.shared_fabrics:
         shared = stage(jax.random.fold_in(key, 1), config.fine, features, config.shared_outputs)
         fine[ALL_FABRICS] = replace(shared, fabrics=_no_functions(config))
-    return TryOnModel(mean, smooth, fine, body, config)
+    return TryOnModel(mean, smooth, fine, body, config=config)
 
 
 def _no_functions(config: TryOnConfig) -> FabricFunctions:

@@ -15,10 +15,13 @@ from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
+from tryon_jax.tryon.stance_file import add_stance
 from tryon_jax.types import Body
 
 SHARED = "-fabrics"
 """Ends the name of a file with the R_fine of all fabrics of a pretrained model."""
+STANCE = "-stance"
+"""The same with R_stance."""
 
 _BEFORE_FIELDS = {
     "beta_extent": [3.0, 2.0],
@@ -33,8 +36,9 @@ _BEFORE_FIELDS = {
     "shared_fabrics": [],
     "fabric_functions": 6,
     "fabric_numbers": 4,
+    "stance": False,
 }
-"""Defaults for files that were written before networks predicted fields, or saw the fabric."""
+"""Defaults for files that were written before networks predicted fields, saw the fabric, or saw the stance."""
 
 
 def save_model(
@@ -79,16 +83,20 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
 def load_pretrained(name: str = "small") -> TryOnModel:
     """The model that comes with the library: trained weights, body and pattern, nothing to download.
 
-    "small", the default, has an R_fine for each of two fabrics and one for all; "paper-form" is the paper's.
+    "small", the default, has an R_fine for each of two fabrics and one for all, and R_stance; "paper-form" is the
+    paper's.
 
     Raises:
         ValueError: there is no model of that name.
     """
     folder = pretrained_path(name).parent
     files = sorted(path.stem for path in folder.glob("*.safetensors"))
-    check_choice("pretrained model", name, [file for file in files if not file.endswith(SHARED)])
+    check_choice("pretrained model", name, [file for file in files if not file.endswith((SHARED, STANCE))])
     model = load_model(pretrained_path(name))
-    return add_shared_fine(model, pretrained_path(name + SHARED)) if name + SHARED in files else model
+    for suffix, add in ((SHARED, add_shared_fine), (STANCE, add_stance)):
+        if name + suffix in files:
+            model = add(model, pretrained_path(name + suffix))
+    return model
 
 
 def pretrained_path(name: str) -> Path:

@@ -47,7 +47,8 @@ def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
         ValueError: It is damaged, or was trained on another R_mean or R_smooth.
     """
     record = store.read_record(path)
-    found = dict(record.get("config", {}))
+    # Files that were written before there was R_stance do not name it.
+    found = {"stance": False} | dict(record.get("config", {}))
     shared = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _OWN[1:]}
     config: TryOnConfig = dataclasses.replace(model.config, **shared)
     wanted = store.config_record(config) | {"fabrics": found.get("fabrics")}

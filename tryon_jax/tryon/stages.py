@@ -98,11 +98,11 @@ def fine_fields(
 
 
 def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
-    """Weights of a stage's fields for bodies of shape `betas`.
+    """Weights of a stage's fields for bodies of shape `betas`; zero in T-pose where the last of them is the stance.
 
     Args:
         config: Of the model.
-        stage: R_smooth or R_fine.
+        stage: R_smooth, R_fine or R_stance.
         betas: Standard deviations.
 
     Raises:
@@ -110,7 +110,23 @@ def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) 
     """
     if stage.coefficients is None:
         raise ValueError('this model has no fields: it was made with conditioning="node"')
+    if config.stance:
+        return stance_coefficients(config, stage.coefficients, betas)
     return field_coefficients(stage.coefficients, betas, config.beta_scale, config.beta_periods)
+
+
+def stance_coefficients(config: TryOnConfig, mlp: MLP, codes: Float[Array, "B b"]) -> Float[Array, "B K"]:
+    """Weights of R_stance's fields: exactly zero in T-pose.
+
+    Args:
+        config: Of R_stance.
+        mlp: Its perceptron.
+        codes: Betas and stance, from `stance.stance_code`.
+    """
+    here, in_t_pose = (
+        field_coefficients(mlp, c, config.beta_scale, config.beta_periods) for c in (codes, codes.at[:, -1].set(0.0))
+    )
+    return here - in_t_pose
 
 
 def field_coefficients(

@@ -2,6 +2,7 @@
 
 from viser import GuiApi
 
+from tryon_jax.body.stance import LOWEST
 from tryon_jax.render.fit_maps import MAPS
 from tryon_jax.viewer.page_model import LAYERS, PageModel
 
@@ -76,6 +77,15 @@ class Controls:
                 middle = (low + high) / 2
                 self.tapes[name] = gui.add_slider(f"{name}, cm", min=low, max=high, step=0.5, initial_value=middle)
             self.fitted = gui.add_markdown("")
+            self.arms = gui.add_slider(
+                "arms down, degrees",
+                min=0.0,
+                max=LOWEST,
+                step=1.0,
+                initial_value=model.start().arms,
+                visible=model.lowers_arms,
+                hint="The fit is measured in T-pose.",
+            )
 
     def _add_view(self, gui: GuiApi) -> None:
         with gui.add_folder("Show"):

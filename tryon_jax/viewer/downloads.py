@@ -74,6 +74,7 @@ def command_line(settings: Settings, space: DesignSpace, source: tuple[str, ...]
     words += ["--betas", *(f"{beta:.3f}" for beta in settings.betas), "--fabric", settings.fabric]
     if settings.seed and settings.own is None:
         words += ["--seed", str(settings.seed)]
+    words += ["--arms", f"{settings.arms:g}"]
     if not settings.push_out:
         words += ["--no-push-out"]
     words += [*source, "--out", "garment.glb", "--picture", "garment.png"]

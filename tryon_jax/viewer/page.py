@@ -119,7 +119,7 @@ class Page:
         controls = self.controls
         for handle in controls.design:
             self._on_change(handle, self._take_design)
-        for handle in (controls.fabric, controls.seed, controls.push_out):
+        for handle in (controls.fabric, controls.seed, controls.push_out, controls.arms):
             self._on_change(handle, self._changed)
         for handle in controls.betas:
             self._on_change(handle, self._take_betas)
@@ -167,6 +167,7 @@ class Page:
             fabric=controls.fabric.value,
             seed=int(controls.seed.value),
             push_out=bool(controls.push_out.value),
+            arms=float(controls.arms.value),
             **changes,
         )
         self._asked_at = time.perf_counter()
@@ -261,8 +262,9 @@ class Page:
             colors = None
             if self._map is not None and layer == "drape" and result.dressed.fit is not None:
                 colors = map_colors(result.dressed.fit, self._map)
-            self._floor.position = (0.0, float(result.body.vertices[:, 1].min()), 0.0)
-            self._show("body", result.body, SKIN, None, visible=controls.with_body.value and layer != "panels")
+            body = result.body(layer)
+            self._floor.position = (0.0, float(body.vertices[:, 1].min()), 0.0)
+            self._show("body", body, SKIN, None, visible=controls.with_body.value and layer != "panels")
             self._show("garment", result.layers[layer], CLOTH, colors, wireframe=controls.wireframe.value)
             controls.legend.visible = self._map is not None and layer == "drape"
             if self._map is not None:
@@ -322,7 +324,7 @@ class Page:
 
     def _download(self, name: str, make: Callable[[DressedBody], bytes]) -> None:
         if self.result is not None:
-            data = make(self.model.finish(self.result).dressed)
+            data = make(self.model.finish(self.result).seen)
             self.client.send_file_download(name, data, save_immediately=True)
 
     # Simulation

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
+from tryon_jax.body.stance import LOWEST
 from tryon_jax.garment import build_template
 from tryon_jax.mesh.repair import LoadedGarment
 from tryon_jax.nets.mlp import apply_mean_drape
@@ -20,6 +21,7 @@ from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.own import OwnGarment
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
+from tryon_jax.wear.stance import lower_arms
 from tryon_jax.wear.stopwatch import Stopwatch
 
 LAYERS: tuple[str, ...] = (
@@ -63,6 +65,8 @@ class Settings:
     """Whether cloth inside the body is pushed out."""
     own: UploadedMesh | None = None
     """A mesh in place of the design."""
+    arms: float = 0.0
+    """Degrees of the arms below the horizontal."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +88,18 @@ class Result:
     """By the names of `LAYERS`."""
     seconds: dict[str, float] = field(default_factory=dict)
     """Time of each stage."""
+    standing: DressedBody | None = None
+    """With the arms lowered, where they are; `dressed` is in T-pose."""
 
     @property
-    def body(self) -> ShownMesh:
-        """The body that is shown."""
-        return ShownMesh(self.dressed.body.vertices, self.dressed.body.faces)
+    def seen(self) -> DressedBody:
+        """In the stance that was asked for."""
+        return self.standing or self.dressed
+
+    def body(self, layer: str) -> ShownMesh:
+        """The body that is shown with a layer of the garment: all but the drape are in T-pose."""
+        dressed = self.seen if layer == LAYERS[0] else self.dressed
+        return ShownMesh(dressed.body.vertices, dressed.body.faces)
 
 
 class PageModel:
@@ -110,12 +121,18 @@ class PageModel:
         """Whether the body is not the one that the networks know."""
         return self.session.other is not None
 
+    @property
+    def lowers_arms(self) -> bool:
+        """Whether the networks know drapes of lowered arms on this body."""
+        return self.session.model.stance is not None and not self.dresses_another_body
+
     def start(self) -> Settings:
         """The settings that a page begins with."""
         space = self.session.space
         design = space.preset(_START) if _START in space.presets else space.mean_design
         values = tuple(float(v) for v in design.values)
-        return Settings(values, (0.0,) * len(self.beta_ranges), self.session.fabrics[0])
+        arms = LOWEST if self.lowers_arms else 0.0
+        return Settings(values, (0.0,) * len(self.beta_ranges), self.session.fabrics[0], arms=arms)
 
     def compute(self, settings: Settings) -> Result:
         """Prepare what is new, and drape.
@@ -130,7 +147,8 @@ class PageModel:
             else:
                 garment = session.prepare(mesh=own.loaded, label=own.name, stopwatch=watch)
             dressed = session.drape(garment, settings.betas, fabric=settings.fabric, stopwatch=watch)
-        return Result(settings, dressed, self._layers(dressed), watch.seconds)
+            standing = self._stand(dressed, settings, watch, outside=False)
+        return Result(settings, dressed, self._layers(dressed, standing), watch.seconds, standing)
 
     def finish(self, result: Result) -> Result:
         """The result with its drape pushed out of the body, where that is asked for, with the fit and the verdict."""
@@ -141,8 +159,17 @@ class PageModel:
         if result.settings.push_out:
             dressed = self.session.push_out(dressed, stopwatch=watch)
         dressed = self.session.judge(dressed, stopwatch=watch)
-        layers = result.layers | {"drape": ShownMesh(dressed.vertices, dressed.faces)}
-        return replace(result, dressed=dressed, layers=layers, seconds=result.seconds | watch.seconds)
+        standing = self._stand(dressed, result.settings, watch, outside=result.settings.push_out)
+        layers = result.layers | {"drape": ShownMesh((standing or dressed).vertices, dressed.faces)}
+        seconds = result.seconds | watch.seconds
+        return replace(result, dressed=dressed, layers=layers, seconds=seconds, standing=standing)
+
+    def _stand(
+        self, dressed: DressedBody, settings: Settings, watch: Stopwatch, *, outside: bool
+    ) -> DressedBody | None:
+        if not settings.arms:
+            return None
+        return lower_arms(self.session, dressed, settings.arms, simulate=False, outside=outside, stopwatch=watch)
 
     def tape_ranges(self, names: Sequence[str]) -> dict[str, tuple[float, float]]:
         """Least and greatest value of each measurement, metres, at the ends of the first two betas."""
@@ -155,12 +182,12 @@ class PageModel:
         values = {name: [one[name] for one in measured] for name in measured[0]}
         return {name: (min(some), max(some)) for name, some in values.items()}
 
-    def _layers(self, dressed: DressedBody) -> dict[str, ShownMesh]:
+    def _layers(self, dressed: DressedBody, standing: DressedBody | None) -> dict[str, ShownMesh]:
         garment = dressed.garment
         if garment not in self._fixed_layers:
             self._fixed_layers[garment] = self._layers_of(garment)
         return {
-            "drape": ShownMesh(dressed.vertices, dressed.faces),
+            "drape": ShownMesh((standing or dressed).vertices, dressed.faces),
             "fine stage": ShownMesh(dressed.fine, dressed.faces),
             "smooth stage": ShownMesh(dressed.smooth, dressed.faces),
             **self._fixed_layers[garment],

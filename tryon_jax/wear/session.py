@@ -17,6 +17,7 @@ from tryon_jax.contact.push_out import CLEARANCE, push_out
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import fabric_names, is_fabric_file, known_fabric, load_fabric
 from tryon_jax.tryon import DrapeFields, TryOnModel, drape_fields, drape_stages, field_stages, load_pretrained
+from tryon_jax.tryon.stance import StanceFields, stance_fields, stand
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.fit import measure_fit
@@ -73,7 +74,10 @@ class Session(SessionGarments):
         # A fabric by its numbers is an argument like any other: another one compiles nothing.
         self._make_any_fields = jax.jit(drape_fields)
         self._apply_fields = jax.jit(field_stages)
+        self._make_stance_fields = jax.jit(stance_fields)
+        self._stand = jax.jit(stand)
         self._fields: LastUsed[DrapeFields] = LastUsed(_FIELDS)
+        self._stance_fields: LastUsed[StanceFields] = LastUsed(_FIELDS)
 
     @property
     def fabrics(self) -> tuple[str, ...]:
@@ -187,6 +191,31 @@ class Session(SessionGarments):
             stages = self._drape(self.model, garment.garment, betas, fabric=fabric)
             smooth, fine = stages.smooth, stages.fine
         return garment.garment.unpad(smooth)[:count], garment.garment.unpad(fine)[:count]
+
+    def stand(self, dressed: DressedBody, degrees: float) -> Float[np.ndarray, "V 3"]:
+        """The garment where R_stance has it with the arms lowered, metres; `tj.lower_arms` does the whole of it.
+
+        Args:
+            dressed: In T-pose, on the networks' body.
+            degrees: Of the arms below the horizontal.
+
+        Raises:
+            ValueError: The model has no R_stance.
+        """
+        garment = dressed.garment.garment
+        numbers = np.asarray(fabric_numbers(load_fabric(dressed.fabric)))
+        fields = self._stance_fields.get(
+            (dressed.garment, numbers.tobytes()), lambda: self._make_stance_fields(self.model, garment, numbers)
+        )
+        # Padded as the fields are, so that another garment of the size compiles nothing.
+        rows = np.asarray(fields.fields).shape[0]
+        vertices, skinning = (
+            np.pad(np.asarray(a, np.float32), ((0, rows - len(a)), (0, 0)))
+            for a in (dressed.vertices, self.skinning(dressed.garment))
+        )
+        betas = np.asarray(dressed.body.betas, np.float32)
+        standing = self._stand(fields, self.model.body, betas, np.float32(degrees), vertices, skinning)
+        return np.asarray(standing)[: len(dressed.vertices)]
 
     def refine(
         self,

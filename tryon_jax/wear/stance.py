@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 
 from tryon_jax.body.pose import pose_body
@@ -13,29 +14,33 @@ from tryon_jax.wear.session import Session
 from tryon_jax.wear.simulate import StanceProgress
 from tryon_jax.wear.stopwatch import Stopwatch
 
+_pose_body = jax.jit(pose_body)
+
 
 def lower_arms(
     session: Session,
     dressed: DressedBody,
     degrees: float,
     *,
+    simulate: bool | None = None,
     outside: bool = True,
     stopwatch: Stopwatch | None = None,
     progress: StanceProgress | None = None,
 ) -> DressedBody:
-    """The same body and garment with the arms down, by simulation from the drape in T-pose.
+    """The same body and garment with the arms down.
 
-    The learned drape stands in T-pose. From there the arms come down in small steps; the cloth is skinned along and
-    brought to rest after each, in contact with the body and with itself. A few seconds. The fit stays that of the
-    T-pose, in which bodies are measured.
+    The learned drape stands in T-pose. R_stance adds what lowered arms change in it, and the cloth is skinned along: a
+    few milliseconds. By simulation the arms come down in small steps, and the cloth is brought to rest after each, in
+    contact with the body and with itself: a few seconds. The fit stays that of the T-pose: bodies are measured there.
 
     Args:
         session: What dressed the body.
         dressed: In T-pose: from `drape`, `refine`, `push_out` or `judge`.
         degrees: Of the arms below the horizontal, 0 to `body.stance.LOWEST`.
+        simulate: By simulation; by default where the drape itself is simulated, or the model has no R_stance.
         outside: Push what is left inside the body out of it.
         stopwatch: Takes the time of "arms".
-        progress: Told after each stance on the way.
+        progress: Told after each stance of a simulation.
 
     Returns:
         With its verdict.
@@ -49,23 +54,29 @@ def lower_arms(
         raise ValueError("arms are lowered on the networks' body; another body stays in T-pose")
     if dressed.arms:
         raise ValueError(f"the arms are {dressed.arms:g} degrees below the horizontal already: start from the T-pose")
-    pose = arms_pose(session.body, degrees)
-    watch = stopwatch or Stopwatch()
+    pose = arms_pose(session.body, degrees).astype(np.float32)
+    if simulate is None:
+        simulate = dressed.simulated is not None or session.model.stance is None
+    watch, result = stopwatch or Stopwatch(), None
     with watch.stage("arms"):
-        result = session.simulator.lower_arms(
-            dressed.vertices,
-            dressed.garment.pattern,
-            load_fabric(dressed.fabric),
-            dressed.body.betas,
-            session.skinning(dressed.garment),
-            degrees,
-            progress,
-        )
-        skin = np.asarray(pose_body(session.body, dressed.body.betas, pose)[0])
+        if simulate:
+            result = session.simulator.lower_arms(
+                dressed.vertices,
+                dressed.garment.pattern,
+                load_fabric(dressed.fabric),
+                dressed.body.betas,
+                session.skinning(dressed.garment),
+                degrees,
+                progress,
+            )
+            vertices = result.vertices
+        else:
+            vertices = session.stand(dressed, degrees)
+        skin = np.asarray(_pose_body(session.body, np.asarray(dressed.body.betas, np.float32), pose)[0])
     standing = replace(
         dressed,
         body=replace(dressed.body, vertices=skin),
-        vertices=result.vertices,
+        vertices=vertices,
         simulated=result,
         pushed=None,
         verdict=None,
