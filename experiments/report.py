@@ -98,6 +98,10 @@ SECTIONS = {
         "Arms down",
         "Nobody stands in a T-pose, in which the paper drapes. The arms come down by simulation.",
     ),
+    "stance_networks": (
+        "Arms down, learned",
+        "R_stance adds to a drape what lowered arms change in it. The paper has no such network.",
+    ),
     "made_to_measure": (
         "Made to measure",
         "A pattern for one body, from the ease and the hem that are asked for. The paper has no such experiment.",

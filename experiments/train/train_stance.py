@@ -50,7 +50,8 @@ def main(config: Config) -> None:
     check_range("steps", config.steps, 1, 10_000_000)
     default = StageOptions()
     loop = replace(default.loop, steps=config.steps, evaluate_every=min(500, config.steps))
-    options = StanceOptions(config.fabrics, config.functions, config.fields, replace(default, loop=loop))
+    stage = replace(default, loop=loop)
+    options = StanceOptions(config.fabrics, config.functions, config.fields, stage=stage)
     fit_stance(config.data, config.start, config.run, options)
     draw_curve(config.run / "stance", "validation error, mm")
     record = read_record(config.run / "stance.safetensors")["training"]["stance"]

@@ -135,6 +135,10 @@ class TryOnConfig:
         return tuple(dict.fromkeys((*self.fabrics, *self.shared_fabrics)))
 
 
+STANCE_NET = UNetConfig(widths=(64, 96, 128, 160))
+"""R_stance."""
+
+
 def stance_config(config: TryOnConfig, fabrics: tuple[str, ...], **changes: Any) -> TryOnConfig:
     """Sizes of the R_stance that goes with a model.
 
@@ -144,7 +148,7 @@ def stance_config(config: TryOnConfig, fabrics: tuple[str, ...], **changes: Any)
         changes: Fields that differ from the default sizes.
     """
     sizes = {
-        "fine": UNetConfig(widths=(64, 96, 128, 160)),
+        "fine": STANCE_NET,
         "fields": 16,
         "fabric_functions": 3,
         "shared_fabrics": fabrics,

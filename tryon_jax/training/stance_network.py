@@ -20,7 +20,8 @@ from tryon_jax.body.pose import skinning_motion
 from tryon_jax.body.stance import arms_pose
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.graph.skinning import garment_skinning
-from tryon_jax.nets.config import stance_config
+from tryon_jax.nets.config import STANCE_NET, stance_config
+from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.all_fabrics import principal_fabrics
@@ -48,6 +49,7 @@ class StanceOptions:
     functions: int = 3
     """Fabric functions."""
     fields: int = 16
+    net: UNetConfig = STANCE_NET
     stage: StageOptions = field(default_factory=StageOptions)
 
 
@@ -69,8 +71,10 @@ def fit_stance(roots: Sequence[Path], start: Path, run: Path, options: StanceOpt
         sets += stance_sets(model, root, manifest, options.fabrics)
     if not any(s.train.any() for s in sets):
         raise ValueError(f"no descents to train on in {[str(root) for root in roots]}: `simulate_stances` makes them")
-    changes = {"fabric_functions": min(options.functions, len(options.fabrics)), "fields": options.fields}
-    config = stance_config(model.config, options.fabrics, **changes)
+    functions = min(options.functions, len(options.fabrics))
+    config = stance_config(
+        model.config, options.fabrics, fabric_functions=functions, fields=options.fields, fine=options.net
+    )
     network = init_stance(jax.random.key(options.stage.loop.seed), config, model.body)
     bound = replace(model, config=config)
     known = principal_fabrics(bound, _in_all_fabrics(sets, options.fabrics), config.fabric_functions)
