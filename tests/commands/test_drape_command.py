@@ -1,5 +1,6 @@
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,10 +8,13 @@ import trimesh
 
 from tests.flat_model import flat_model
 from tests.tryon.test_drape_fields import make_model
+from tests.tryon.test_stance import with_stance
 from tryon_jax.body import load_body
 from tryon_jax.cli import main
 from tryon_jax.commands import _answer
+from tryon_jax.commands._answer import PICTURE_ARMS, Treatment, pictured
 from tryon_jax.commands._batch import Batch
+from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import resolve_betas
 from tryon_jax.garment import load_design_space
 from tryon_jax.tryon import save_model
@@ -398,3 +402,24 @@ def test_bad_batch_files_name_the_row(weights, tmp_path, monkeypatch, capsys, te
     assert main(["drape", "--weights", weights, "--batch", "orders.csv", "--out", "results"]) == 1
     assert message in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["orders.csv"]
+
+
+def test_pictures_show_learned_drapes_with_the_arms_down():
+    session = Session(with_stance(flat_model()), triangle_area=2.5e-3)
+    dressed = session.drape(session.prepare("tank"))
+    plain = Treatment(push_out=False, gate=False)
+    shown = pictured(session, dressed, plain, Clock())
+    assert shown.arms == PICTURE_ARMS
+    assert dressed.arms == 0.0
+    for other, treatment, pose in (
+        (dressed, replace(plain, arms=0.0), None),
+        (dressed, plain, np.zeros((24, 3))),
+        (
+            replace(dressed, simulated=Simulated(dressed.vertices, 0.0, 0.01, 1, np.zeros(len(dressed.vertices)))),
+            plain,
+            None,
+        ),
+    ):
+        assert pictured(session, other, treatment, Clock(), pose) is other
+    # Panels round the body cut through it: what is refused with the arms down is shown in T-pose.
+    assert pictured(session, dressed, replace(plain, gate=True), Clock()) is dressed

@@ -52,7 +52,7 @@ def sleeve() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 def test_the_surface_goes_with_the_skin(obstacle: StanceObstacle) -> None:
     collision = obstacle.collision
     skin = np.asarray(pose_body(BODY, BETAS, arms_pose(BODY, 30.0).astype(np.float32))[0])
-    found = np.asarray(obstacle.surface(np.array([30.0])).vertices)[: len(collision.keep)]
+    found = np.asarray(obstacle.surface(obstacle.at(30.0)).vertices)[: len(collision.keep)]
     feet = np.isin(collision.keep, np.concatenate(collision.feet))
     np.testing.assert_allclose(found[~feet], skin[collision.keep][~feet], atol=1e-5)
 
@@ -61,13 +61,13 @@ def test_mittens_go_with_the_hands(obstacle: StanceObstacle) -> None:
     weights = skinning_weights(obstacle.collision, np.asarray(BODY.lbs_weights))
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-5)
     skin = np.asarray(pose_body(BODY, BETAS, arms_pose(BODY, 45.0).astype(np.float32))[0])
-    found = np.asarray(obstacle.surface(np.array([45.0])).vertices)[len(obstacle.collision.keep) :]
+    found = np.asarray(obstacle.surface(obstacle.at(45.0)).vertices)[len(obstacle.collision.keep) :]
     for mitten, tube in zip(obstacle.collision.mittens, np.split(found, 2), strict=True):
         assert np.linalg.norm(tube.mean(axis=0) - skin[mitten.hand].mean(axis=0)) < 0.05
 
 
 def test_points_that_go_down_and_up_are_where_they_were(obstacle: StanceObstacle) -> None:
-    points = np.asarray(obstacle.surface(np.array([0.0])).vertices, np.float64)
+    points = np.asarray(obstacle.surface(obstacle.at(0.0)).vertices, np.float64)
     weights = skinning_weights(obstacle.collision, np.asarray(BODY.lbs_weights))
     down = obstacle.carry(points, weights, 0.0, 40.0)
     assert np.linalg.norm(down - points, axis=1).max() > 0.3

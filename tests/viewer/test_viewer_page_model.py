@@ -12,6 +12,7 @@ from PIL import Image
 
 from tests.belt import snug_belt
 from tests.flat_model import flat_model
+from tests.tryon.test_stance import with_stance
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.render.fit_maps import MAPS, map_colors
@@ -145,9 +146,9 @@ def test_downloads_are_what_they_say(page, result):
     assert set(scene.geometry) == {"body", "garment"}
     obj = mesh_file(result.dressed, ".obj")
     assert b"mtllib" not in obj
-    assert obj.count(b"\nf ") == len(result.body.faces) + len(result.dressed.faces)
+    assert obj.count(b"\nf ") == len(result.body("drape").faces) + len(result.dressed.faces)
     whole = trimesh.load(io.BytesIO(obj), file_type="obj", process=False)
-    assert len(whole.faces) == len(result.body.faces) + len(result.dressed.faces)
+    assert len(whole.faces) == len(result.body("drape").faces) + len(result.dressed.faces)
     svg = pattern_file(result.dressed, page.session.space).decode()
     # True size: one unit of the drawing is one millimetre on paper.
     width, height, box = re.search(r'width="([\d.]+)mm" height="([\d.]+)mm" viewBox="0 0 ([\d. ]+)"', svg).groups()
@@ -177,3 +178,26 @@ def test_the_command_line_makes_the_same(page, result, tmp_path, monkeypatch):
     garment = trimesh.load("garment.glb", process=False).geometry["garment"]
     drape = page.compute(settings).layers["drape"]
     np.testing.assert_allclose(garment.triangles, drape.vertices[drape.faces], atol=1e-4)
+
+
+def test_arms_come_down_in_the_drape_and_stay_up_in_the_other_layers(page, tmp_path):
+    assert not page.lowers_arms
+    assert page.start().arms == 0.0
+    model = with_stance(page.session.model)
+    lowered = PageModel(model)
+    assert lowered.lowers_arms
+    settings = replace(lowered.start(), push_out=False)
+    assert settings.arms == 45.0
+    result = lowered.compute(settings)
+    assert result.seen.arms == 45.0
+    assert result.dressed.arms == 0.0
+    np.testing.assert_array_equal(result.layers["drape"].vertices, result.seen.vertices)
+    hand = np.abs(result.dressed.body.vertices[:, 0]).argmax()
+    heights = [result.body(layer).vertices[hand, 1] for layer in ("drape", "panels", "fine stage")]
+    assert heights[0] < heights[1] - 0.3
+    assert heights[1] == heights[2]
+    finished = lowered.finish(result)
+    assert finished.dressed.fit is not None
+    assert finished.seen.fit is finished.dressed.fit
+    assert "--arms 45" in command_line(settings, lowered.session.space)
+    assert lowered.compute(replace(settings, arms=0.0)).standing is None

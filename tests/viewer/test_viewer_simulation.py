@@ -80,7 +80,7 @@ def test_arms_come_down_with_the_body_that_is_shown(page, monkeypatch):
     hands, words = [], []
 
     def step(share, garment, body):
-        hands.append(body.vertices[np.abs(result.body.vertices[:, 0]).argmax(), 1])
+        hands.append(body.vertices[np.abs(result.body("drape").vertices[:, 0]).argmax(), 1])
 
     Simulation(page.session, result, step, words.append, "arms").join(60)
     assert words[0].startswith("arms 45 degrees lower")

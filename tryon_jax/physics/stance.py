@@ -25,7 +25,7 @@ _motion = jax.jit(skinning_motion)
 
 
 class StanceObstacle(Obstacle):
-    """The collision surface of one body shape in any stance; what `Obstacle` takes as betas is the angle of the arms.
+    """The collision surface of one body shape in any stance: its betas have one entry more, the angle of the arms.
 
     Hands are made into mittens in T-pose, where they point along an axis, and skinned with the arm.
     """
@@ -43,9 +43,13 @@ class StanceObstacle(Obstacle):
         self._still = np.asarray(self._surface.vertices)
         self._weights = skinning_weights(self.collision, np.asarray(self.body.lbs_weights))
 
+    def at(self, degrees: float) -> Float[np.ndarray, " b"]:
+        """The betas that `surface` takes for arms `degrees` below the horizontal: the body's, then the angle."""
+        return np.append(np.asarray(self._betas, np.float64), degrees)
+
     def surface(self, betas: Float[np.ndarray, " b"]) -> Surface:
-        """Collision surface with the arms `betas[0]` degrees below the horizontal."""
-        return self.moved(self._surface, self.carry(self._still, self._weights, 0.0, float(betas[0])))
+        """Collision surface of the body in the stance of `at`."""
+        return self.moved(self._surface, self.carry(self._still, self._weights, 0.0, float(betas[-1])))
 
     def carry(
         self, points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"], before: float, after: float
@@ -117,7 +121,7 @@ def lower_arms(
         found = relax(
             start,
             slip,
-            np.array([after]),
+            obstacle.at(after),
             cloth,
             fabric,
             obstacle,
