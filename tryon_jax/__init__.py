@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         save_model,
         stack_garments,
     )
+    from tryon_jax.tryon.stance import stance_fields, stand
     from tryon_jax.types import Body
     from tryon_jax.wear.session import Session
     from tryon_jax.wear.stance import lower_arms
@@ -79,6 +80,8 @@ __all__ = [
     "save_model",
     "shape_body",
     "stack_garments",
+    "stance_fields",
+    "stand",
     "tailor",
     "vertex_normals",
 ]
@@ -120,6 +123,8 @@ _HOMES = {
     "save_model": "tryon_jax.tryon",
     "shape_body": "tryon_jax.body",
     "stack_garments": "tryon_jax.tryon",
+    "stance_fields": "tryon_jax.tryon.stance",
+    "stand": "tryon_jax.tryon.stance",
     "tailor": "tryon_jax.wear.tailor",
     "vertex_normals": "tryon_jax.body",
 }

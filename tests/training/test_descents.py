@@ -64,6 +64,7 @@ def test_what_is_stored_is_read_again(root: Path, monkeypatch: pytest.MonkeyPatc
             yield SimpleNamespace(degrees=angle, drape=SimpleNamespace(vertices=start - 0.001 * angle, report=report))
             if diverges:
                 raise Diverged("forces became infinite")
+        pytest.fail("nothing starts from cloth that found no rest")
 
     monkeypatch.setattr(descents, "relax", relaxed)
     monkeypatch.setattr(descents, "lower_arms", lowered)

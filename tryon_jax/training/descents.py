@@ -22,7 +22,7 @@ from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.dressing import Equilibrium, Obstacle, relax, until_diverged
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.solver import SolverSettings
-from tryon_jax.physics.stance import StanceObstacle, lower_arms
+from tryon_jax.physics.stance import Stance, StanceObstacle, lower_arms
 from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path, save_arrays
 from tryon_jax.training.protocol import make_protocol
 
@@ -124,8 +124,12 @@ def run_descent(root: str, task: DescentTask) -> str:
     weights = garment_skinning(mean, mesh["faces"], body.body)
     laid = relax(vertices, slip, betas, cloth, fabric, body, settings, equilibrium, max_steps=0)
     obstacle = StanceObstacle(body, betas)
-    # What comes before a divergence is stored: the file says that there is no more.
-    stances = list(until_diverged(lower_arms(laid, weights, LOWEST, cloth, fabric, obstacle, settings, equilibrium)))
+    # What comes before a divergence is stored, and nothing that starts from cloth that found no rest.
+    stances: list[Stance] = []
+    for stance in until_diverged(lower_arms(laid, weights, LOWEST, cloth, fabric, obstacle, settings, equilibrium)):
+        stances.append(stance)
+        if float(stance.drape.report.residual) > MAX_RESIDUAL:
+            break
     residual = np.array([float(stance.drape.report.residual) for stance in stances], np.float32)
     save_arrays(
         task.path(folder),
