@@ -39,8 +39,8 @@ STANCES = (15.0, HELD_OUT, 30.0, 45.0)
 WAYS = ("skinned", "kNN", "R_stance", "networks")
 COUNTED = ("skinned", "networks", "simulated")
 """Whose vertices inside the body and triangles through each other are counted."""
-_pose, _stand, _drape = jax.jit(pose_body), jax.jit(stand), jax.jit(drape)
-_fields = jax.jit(stance_fields)
+_pose, _stand, _fields = jax.jit(pose_body), jax.jit(stand), jax.jit(stance_fields)
+_drape_known, _drape_any = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
 
 
 @dataclass(frozen=True)
@@ -213,7 +213,11 @@ class Drapes:
         self.numbers = np.asarray(fabric_numbers(load_fabric(case.fabric)))
         self.fields: StanceFields = _fields(model, case.garment, self.numbers)
         self.betas = case.descent.betas.astype(np.float32)
-        self.learned = case.garment.unpad(_drape(model, case.garment, self.betas, self.numbers))
+        if case.fabric in model.config.fabrics:
+            learned = _drape_known(model, case.garment, self.betas, fabric=case.fabric)
+        else:
+            learned = _drape_any(model, case.garment, self.betas, self.numbers)
+        self.learned = case.garment.unpad(learned)
 
     def skinned(self, degrees: float, change: np.ndarray | None = None) -> Float[np.ndarray, "V 3"]:
         """The simulated drape in T-pose with a change, skinned."""
