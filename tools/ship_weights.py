@@ -10,10 +10,9 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
@@ -49,6 +48,8 @@ RANDOM_DESIGNS = 200
 DESIGNS = ("tank", "tshirt", "sweater", "dress", "maxi-dress")
 SHAPES = np.array([[0.0, 0.0], [2.5, 0.5], [-2.5, -0.5], [0.5, 1.8], [-0.5, -1.8]], np.float32)
 MODELS = Path("tryon_jax/data/models")
+TOGETHER = 74
+"""Bodies of one call, as many as `bodies_all_over_the_range`; fewer are filled up, so that one program drapes all."""
 _by_name, _by_numbers = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
 
 
@@ -64,20 +65,24 @@ def fabrics_of(model: TryOnModel, by_numbers: Sequence[str] | None = None) -> Fa
     return {name: name for name in model.config.fabrics} | numbers
 
 
-def _drape(model: TryOnModel, garment: Garment, betas: Any, fabric: str | Float[np.ndarray, " F"]) -> jax.Array:
+def drape_bodies(
+    model: TryOnModel, garment: Garment, betas: Float[np.ndarray, "B b"], fabric: str | Float[np.ndarray, " F"]
+) -> jax.Array:
+    """Drapes of a garment on at most `TOGETHER` bodies."""
     run = _by_name if isinstance(fabric, str) else _by_numbers
-    return run(model, garment, betas, fabric=fabric)
+    filled = np.concatenate([betas, np.broadcast_to(betas[:1], (TOGETHER - len(betas), betas.shape[1]))])
+    return run(model, garment, filled, fabric=fabric)[: len(betas)]
 
 
 def largest_change(one: TryOnModel, other: TryOnModel) -> float:
     """Largest distance between the drapes of two models over designs, shapes and fabrics, metres."""
     worst = 0.0
-    shapes = jnp.asarray(SHAPES[:, : one.config.num_betas])
+    shapes = SHAPES[:, : one.config.num_betas]
     for design in DESIGNS:
         garment = prepare(one, design)
         for fabric in fabrics_of(one).values():
-            difference = garment.unpad(_drape(one, garment, shapes, fabric=fabric)) - garment.unpad(
-                _drape(other, garment, shapes, fabric=fabric)
+            difference = garment.unpad(drape_bodies(one, garment, shapes, fabric)) - garment.unpad(
+                drape_bodies(other, garment, shapes, fabric)
             )
             worst = max(worst, float(np.linalg.norm(difference, axis=-1).max()))
     return worst
@@ -110,7 +115,7 @@ def largest_strain(
     garment, pattern = prepared.garment, (prepared.faces, prepared.uv, prepared.faces_uv)
     worst = Tear(-1.0, "")
     for name, fabric in (fabrics or fabrics_of(model)).items():
-        drapes = garment.unpad(_drape(model, garment, betas, fabric=fabric))
+        drapes = garment.unpad(drape_bodies(model, garment, betas, fabric))
         strains = [float(edge_strain(row, *pattern).max()) for row in drapes]
         k = int(np.argmax(strains))
         worst = max(worst, Tear(strains[k], f"{design}, topology {seed}, {name}, betas {betas[k]}"))

@@ -12,6 +12,7 @@ from tools.ship_weights import (
     DESIGNS,
     TORN,
     bodies_all_over_the_range,
+    drape_bodies,
     fabrics_of,
     largest_strain,
     random_tears,
@@ -35,15 +36,10 @@ def session(model) -> tj.Session:
     return tj.Session(model, one_size=True)
 
 
-by_name, by_numbers = jax.jit(tj.drape, static_argnames="fabric"), jax.jit(tj.drape)
-
-
 def tshirt(session: tj.Session, betas: Sequence[Sequence[float]], fabric: str | np.ndarray) -> np.ndarray:
-    """A T-shirt on up to seven bodies, which are filled up to it: again so that few programs do."""
-    garment, rows = session.prepare("tshirt").garment, np.zeros((7, 2), np.float32)
-    rows[: len(betas)] = betas
-    run = by_name if isinstance(fabric, str) else by_numbers
-    return garment.unpad(run(session.model, garment, rows, fabric=fabric))[: len(betas)]
+    """A T-shirt on some bodies."""
+    garment = session.prepare("tshirt").garment
+    return garment.unpad(drape_bodies(session.model, garment, np.asarray(betas, np.float32), fabric))
 
 
 def test_unknown_name_is_refused():
@@ -92,7 +88,7 @@ def test_the_papers_form_comes_beside_it():
     rival = tj.load_pretrained("paper-form")
     assert rival.config.conditioning == "node"
     garment = tj.prepare(rival, "tshirt")
-    vertices = garment.unpad(by_name(rival, garment, jnp.array([1.0, 0.5])))
+    vertices = garment.unpad(jax.jit(tj.drape)(rival, garment, jnp.array([1.0, 0.5])))
     skin, _ = tj.shape_body(rival.body, jnp.array([1.0, 0.5]))
     distance = np.asarray(closest_points(build_surface(skin, rival.body.faces), vertices).height)
     assert np.median(distance) < 0.06
