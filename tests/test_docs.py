@@ -44,7 +44,12 @@ def tryon_commands(page: Path) -> list[str]:
     return shell_lines(page, r"(\S*/)?tryon")
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda p: p.name)
+def slowly(pages: list[Path]) -> list:
+    """Pages whose blocks are run; all but the README's take more than a few seconds."""
+    return [pytest.param(p, marks=[pytest.mark.slow] if p.parent.name == "docs" else [], id=p.name) for p in pages]
+
+
+@pytest.mark.parametrize("page", slowly([p for p in PAGES if blocks(p, "python")]))
 def test_python_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {"__name__": "__main__"}
@@ -52,7 +57,7 @@ def test_python_blocks_run(page, tmp_path, monkeypatch):
         exec(compile(source, f"{page.name}, block {number}", "exec"), names)
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if tryon_commands(p)], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", slowly([p for p in PAGES if tryon_commands(p)]))
 def test_commands_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for line in tryon_commands(page):

@@ -30,6 +30,7 @@ def test_many_bodies():
     assert np.abs(vertices[0] - vertices[1]).max() > 0.005
 
 
+@pytest.mark.slow
 def test_gradient_of_fit():
     effect = load("gradient_of_fit").main()
     assert effect["chest"] > 0, "a wider garment hangs farther from the body"
@@ -48,6 +49,7 @@ def test_drape_in_training():
     assert after < 0.5 * before
 
 
+@pytest.mark.slow
 def test_own_garment():
     before, after = load("own_garment").main()
     assert before.shape == after.shape

@@ -10,15 +10,14 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from tqdm import tqdm
 
-from tryon_jax.garment import Design, remesh
+from tryon_jax.garment import Design
 from tryon_jax.metrics import edge_strain
 from tryon_jax.nets.store import read_record
 from tryon_jax.physics.fabric_numbers import fabric_numbers
@@ -32,11 +31,11 @@ from tryon_jax.tryon import (
     drape,
     load_model,
     prepare,
-    prepare_mesh,
     save_model,
 )
 from tryon_jax.tryon.model_file import SHARED
 from tryon_jax.tryon.shared_fine import add_shared_fine, save_shared_fine
+from tryon_jax.wear.session import Session
 
 LIMIT = 1e-4
 """Metres."""
@@ -49,6 +48,8 @@ RANDOM_DESIGNS = 200
 DESIGNS = ("tank", "tshirt", "sweater", "dress", "maxi-dress")
 SHAPES = np.array([[0.0, 0.0], [2.5, 0.5], [-2.5, -0.5], [0.5, 1.8], [-0.5, -1.8]], np.float32)
 MODELS = Path("tryon_jax/data/models")
+TOGETHER = 74
+"""Bodies of one call, as many as `bodies_all_over_the_range`; fewer are filled up, so that one program drapes all."""
 _by_name, _by_numbers = jax.jit(drape, static_argnames="fabric"), jax.jit(drape)
 
 
@@ -64,20 +65,24 @@ def fabrics_of(model: TryOnModel, by_numbers: Sequence[str] | None = None) -> Fa
     return {name: name for name in model.config.fabrics} | numbers
 
 
-def _drape(model: TryOnModel, garment: Garment, betas: Any, fabric: str | Float[np.ndarray, " F"]) -> jax.Array:
+def drape_bodies(
+    model: TryOnModel, garment: Garment, betas: Float[np.ndarray, "B b"], fabric: str | Float[np.ndarray, " F"]
+) -> jax.Array:
+    """Drapes of a garment on at most `TOGETHER` bodies."""
     run = _by_name if isinstance(fabric, str) else _by_numbers
-    return run(model, garment, betas, fabric=fabric)
+    filled = np.concatenate([betas, np.broadcast_to(betas[:1], (TOGETHER - len(betas), betas.shape[1]))])
+    return run(model, garment, filled, fabric=fabric)[: len(betas)]
 
 
 def largest_change(one: TryOnModel, other: TryOnModel) -> float:
     """Largest distance between the drapes of two models over designs, shapes and fabrics, metres."""
     worst = 0.0
-    shapes = jnp.asarray(SHAPES[:, : one.config.num_betas])
+    shapes = SHAPES[:, : one.config.num_betas]
     for design in DESIGNS:
         garment = prepare(one, design)
         for fabric in fabrics_of(one).values():
-            difference = garment.unpad(_drape(one, garment, shapes, fabric=fabric)) - garment.unpad(
-                _drape(other, garment, shapes, fabric=fabric)
+            difference = garment.unpad(drape_bodies(one, garment, shapes, fabric)) - garment.unpad(
+                drape_bodies(other, garment, shapes, fabric)
             )
             worst = max(worst, float(np.linalg.norm(difference, axis=-1).max()))
     return worst
@@ -100,25 +105,28 @@ def bodies_all_over_the_range() -> Float[np.ndarray, "74 2"]:
 
 
 def largest_strain(
-    model: TryOnModel, design: Design, seed: int, betas: Float[np.ndarray, "B b"], fabrics: Fabrics | None = None
+    session: Session, design: Design, seed: int, betas: Float[np.ndarray, "B b"], fabrics: Fabrics | None = None
 ) -> Tear:
-    """The most stretched edge of a design in one topology, over bodies and fabrics, by default all."""
-    mesh = remesh(config_space(model.config), design, model.config.target_area, seed=seed)
-    garment = prepare_mesh(model, mesh)
+    """The most stretched edge of a design in one topology, over bodies and fabrics, by default all.
+
+    In a session of one size all designs share their compiled drapes.
+    """
+    model, prepared = session.model, session.prepare(design, seed=seed)
+    garment, pattern = prepared.garment, (prepared.faces, prepared.uv, prepared.faces_uv)
     worst = Tear(-1.0, "")
     for name, fabric in (fabrics or fabrics_of(model)).items():
-        drapes = garment.unpad(_drape(model, garment, betas, fabric=fabric))
-        strains = [float(edge_strain(row, mesh.faces, mesh.uv, mesh.faces_uv).max()) for row in drapes]
+        drapes = garment.unpad(drape_bodies(model, garment, betas, fabric))
+        strains = [float(edge_strain(row, *pattern).max()) for row in drapes]
         k = int(np.argmax(strains))
         worst = max(worst, Tear(strains[k], f"{design}, topology {seed}, {name}, betas {betas[k]}"))
     return worst
 
 
-def random_tears(model: TryOnModel, count: int, seed: int = 0, fabrics: Fabrics | None = None) -> Iterator[Tear]:
+def random_tears(session: Session, count: int, seed: int = 0, fabrics: Fabrics | None = None) -> Iterator[Tear]:
     """The most stretched edge of each of `count` random designs, in a topology of its own, on four random bodies."""
-    rng = np.random.default_rng(seed)
-    for k, design in enumerate(config_space(model.config).sample(count, seed)):
-        yield largest_strain(model, design, 10_000 + k, random_betas(rng, 4, model.config.beta_ranges), fabrics)
+    rng, config = np.random.default_rng(seed), session.model.config
+    for k, design in enumerate(config_space(config).sample(count, seed)):
+        yield largest_strain(session, design, 10_000 + k, random_betas(rng, 4, config.beta_ranges), fabrics)
 
 
 def main(run: Path, name: str = "small") -> None:
@@ -129,9 +137,9 @@ def main(run: Path, name: str = "small") -> None:
     """
     source = model_path(run)
     model, record = load_model(source), read_record(source)["training"]
-    space = config_space(model.config)
-    tears = [largest_strain(model, space.preset(name), 0, bodies_all_over_the_range()) for name in DESIGNS]
-    tears += tqdm(random_tears(model, RANDOM_DESIGNS), total=RANDOM_DESIGNS, desc="random designs")
+    space, session = config_space(model.config), Session(model, one_size=True)
+    tears = [largest_strain(session, space.preset(design), 0, bodies_all_over_the_range()) for design in DESIGNS]
+    tears += tqdm(random_tears(session, RANDOM_DESIGNS), total=RANDOM_DESIGNS, desc="random designs")
     torn = [tear for tear in tears if tear.strain >= TORN]
     stretched = sum(tear.strain >= STRETCHED for tear in tears)
     print(

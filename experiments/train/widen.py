@@ -40,8 +40,11 @@ def main(config: Config) -> None:
     model, record = load_model(config.model), read_record(config.model).get("training", {})
     keys = iter(jax.random.split(jax.random.key(config.seed), 1 + len(model.fine)))
 
+    # One program for each size of network: op by op, every shape of a weight would have several of its own.
+    grow = jax.jit(widen_unet, static_argnums=2)
+
     def widen(stage: Stage, widths: tuple[int, ...]) -> Stage:
-        return replace(stage, net=widen_unet(next(keys), stage.net, widths))
+        return replace(stage, net=grow(next(keys), stage.net, tuple(widths)))
 
     before = count_parameters((model.smooth, model.fine))
     smooth = widen(model.smooth, config.smooth)

@@ -25,6 +25,7 @@ def test_winding_numbers_tell_inside_from_outside() -> None:
         assert (inside_body(share * RADIUS * ways, skin, faces) == wanted).all()
 
 
+@pytest.mark.slow
 def test_a_case_is_the_same_however_many_there_are() -> None:
     session = Session(flat_model())
     first = random_case(session, 0, 5, 4)

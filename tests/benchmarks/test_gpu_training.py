@@ -33,6 +33,7 @@ def tiny(monkeypatch, unchecked):
     monkeypatch.setattr(_gpu_training, "network", lambda *_: tiny_model().config)
 
 
+@pytest.mark.slow
 def test_training_is_stopped_by_time_and_continued_to_its_end(data, tmp_path, monkeypatch):
     run = tmp_path / "run"
     monkeypatch.setattr(_gpu_training, "shipped_weights", lambda: nullcontext(model_path(run)))
@@ -69,6 +70,7 @@ def test_training_is_stopped_by_time_and_continued_to_its_end(data, tmp_path, mo
         check_data(data, run)
 
 
+@pytest.mark.slow
 def test_garments_are_prepared_alike_by_many_processes(data, tmp_path):
     train(data, tmp_path, STEPS, 6.0)
     one, two = (load_prepared(data, model_path(tmp_path), NAMES[:2], processes) for processes in (1, 2))

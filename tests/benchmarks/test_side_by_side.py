@@ -12,6 +12,7 @@ from benchmarks.compare import Config, measure_cell
 FAST = Ceilings({"float32": 1e3, "bfloat16": 1e3}, 1e2)
 
 
+@pytest.mark.slow
 def test_drapes_side_by_side_are_checked_and_timed(unchecked):
     config = Config(repeats=3, cell_seconds=0.1, max_call_seconds=30.0, peers=False)
     entry = measure_cell(Cell("side by side", "", 300, 2), config, FAST)

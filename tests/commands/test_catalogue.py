@@ -46,6 +46,7 @@ def read(path):
         return list(csv.DictReader(stream))
 
 
+@pytest.mark.slow
 def test_every_garment_is_draped_on_every_body_and_nothing_twice(lists, weights, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(arguments(lists, weights, out, *QUICK)) == 0

@@ -213,6 +213,7 @@ def test_a_batch_makes_one_mesh_per_row_and_a_table(weights, tmp_path, capsys):
     assert (out / "fit.csv").read_text() == text
 
 
+@pytest.mark.slow
 def test_rows_of_one_garment_are_draped_in_one_call_as_one_by_one(tmp_path, monkeypatch, capsys):
     """With networks that know the body; a row that fails among them fails alone."""
     path = tmp_path / "tiny.safetensors"

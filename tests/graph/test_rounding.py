@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tryon_jax.garment import placement, remesh
+from tryon_jax.graph import bucket_size
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, load_pretrained, prepare_mesh
 
 SHAPES = np.array([[1.5, -0.5], [-1.0, 1.0]], np.float32)
@@ -22,21 +23,32 @@ def assert_same_hierarchy(one: Garment, other: Garment) -> None:
 
 @pytest.mark.slow
 def test_rounding_of_the_mean_drape_changes_no_hierarchy_and_moves_no_drape(model: TryOnModel) -> None:
+    """A micrometre moves the drape by less than 2 µm on average, and all but a few vertices by less than 0.01 mm.
+
+    The largest move may be more, as R_fine sees positions as waves of centimetres and amplifies some of them; it is
+    bounded all the same, so that nothing moves by a jump.
+    """
     space = config_space(model.config)
     run = jax.jit(drape, static_argnames="fabric")
     rng = np.random.default_rng(0)
-    for design in space.sample(20, seed=3):
-        mesh = remesh(space, design, model.config.target_area)
-        garment = prepare_mesh(model, mesh)
+    meshes = [remesh(space, design, model.config.target_area) for design in space.sample(20, seed=3)]
+    # All of one size, so that one program drapes them.
+    bucket = bucket_size(int(1.05 * max(mesh.num_vertices for mesh in meshes)))
+    far = []
+    for mesh in meshes:
+        garment = prepare_mesh(model, mesh, bucket=bucket)
         mean = garment.mean_vertices
         up = np.nextafter(mean, np.where(rng.random(mean.shape) < 0.5, np.inf, -np.inf).astype(mean.dtype))
         shaken = mean + rng.uniform(-1e-6, 1e-6, mean.shape).astype(mean.dtype)
         drapes = garment.unpad(run(model, garment, SHAPES))
-        # A micrometre is amplified up to tenfold at single vertices; it moves nothing by jumps.
-        for moved, most in ((up, 1e-6), (shaken, 1.5e-5)):
-            other = prepare_mesh(model, mesh, vertices=moved)
+        for moved, on_average, most in ((up, 2e-7, 1e-6), (shaken, 2e-6, 1.5e-5)):
+            other = prepare_mesh(model, mesh, vertices=moved, bucket=bucket)
             assert_same_hierarchy(garment, other)
-            assert np.abs(other.unpad(run(model, other, SHAPES)) - drapes).max() < most
+            distance = np.linalg.norm(other.unpad(run(model, other, SHAPES)) - drapes, axis=-1)
+            assert distance.mean() < on_average
+            assert distance.max() < most
+        far.append(distance.ravel() > 1e-5)
+    assert np.concatenate(far).mean() < 1e-4
 
 
 def test_the_hierarchy_comes_from_the_flat_pattern(model: TryOnModel) -> None:

@@ -40,6 +40,7 @@ def apart(one: Drape, other: Drape) -> float:
     return float(np.linalg.norm(one.vertices - other.vertices, axis=1).mean())
 
 
+@pytest.mark.slow
 def test_each_lane_takes_the_steps_it_takes_alone(x64: None, obstacle: Obstacle) -> None:
     """In double precision, where rounding cannot grow into another fold: lanes that move, stop early, or wait."""
     cloths = [make_cloth(*mesh, np.float64, bucket=128) for mesh in MESHES]
@@ -70,6 +71,7 @@ def test_each_lane_takes_the_steps_it_takes_alone(x64: None, obstacle: Obstacle)
             assert int(report.steps[k]) == int(expected.steps) <= most[k]
 
 
+@pytest.mark.slow
 def test_dressing_side_by_side_is_dressing_one_by_one(obstacle: Obstacle, together: list[Drape]) -> None:
     for points, cloth, fabric, drape in zip(STARTS, CLOTHS, FABRICS, together, strict=True):
         alone = dress(points, cloth, fabric, obstacle, SETTINGS, EQUILIBRIUM, betas=(0.0,))
@@ -80,6 +82,7 @@ def test_dressing_side_by_side_is_dressing_one_by_one(obstacle: Obstacle, togeth
         assert apart(drape, alone) < 3e-3
 
 
+@pytest.mark.slow
 def test_sweeping_side_by_side_is_sweeping_one_by_one(obstacle: Obstacle, together: list[Drape]) -> None:
     """Each lane along its own ray, from the very same states."""
     rays = np.array([[[0.5], [1.0]], [[-0.25], [-0.5]]])
@@ -95,6 +98,7 @@ def test_sweeping_side_by_side_is_sweeping_one_by_one(obstacle: Obstacle, togeth
             assert (np.asarray(lane.state.x)[len(STARTS[k]) :] == 5.0).all()
 
 
+@pytest.mark.slow
 def test_a_lane_that_left_the_numbers_harms_no_other(obstacle: Obstacle, together: list[Drape]) -> None:
     broken = dataclasses.replace(FABRICS[1], bending=jnp.full((3, 5), jnp.nan))
     rays = np.array([[[0.5]], [[0.5]]])

@@ -259,6 +259,7 @@ def test_float32_agrees() -> None:
     np.testing.assert_allclose(results[0], results[1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_single_precision_feels_what_its_positions_cannot_hold() -> None:
     """Forces of stiff cloth a metre from the origin, from positions in two parts, against double precision."""
     faces, uv = sheet(5, 4, 0.1, 0.08)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from jax.sharding import PartitionSpec as P
 
+from tests.kept_programs import kept_programs
 from tryon_jax.training.parallel import DataParallel, joined_processes, partition
 from tryon_jax.types import pytree
 
@@ -22,7 +23,9 @@ PATIENCE = 900
 
 def start(task: dict, virtual_devices: int = 1) -> subprocess.Popen:
     flags = f"--xla_force_host_platform_device_count={virtual_devices}"
-    environment = os.environ | {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags, "OMP_NUM_THREADS": "1"}
+    environment = os.environ | {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags, "OMP_NUM_THREADS": "1"} | kept_programs()
+    # The network is small: optimising its programs would take longer than running them.
+    environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
     command = [sys.executable, str(WORKER), json.dumps(task)]
     return subprocess.Popen(
         command,

@@ -66,6 +66,7 @@ def test_values_at_other_shapes(width: int) -> None:
     assert np.isfinite(spread_over_shapes(on_a_line, smooth(known), wanted)).all()
 
 
+@pytest.mark.slow
 def test_perceptron_gives_drapes_at_shapes_that_were_not_simulated() -> None:
     net = UNetConfig(widths=(4, 4), encoder_convs=1)
     config = load_config("small", smooth=net, fine=net, fields=3)

@@ -30,6 +30,8 @@ from tryon_jax.training.recipes import (
 from tryon_jax.training.simulator import Simulator
 from tryon_jax.training.stages import Predictor, smooth_sets, validation_error
 
+pytestmark = pytest.mark.slow
+
 FABRIC = "gray-interlock"
 CONFIG = DatasetConfig(fabrics=(FABRIC,), target_area=1.2e-3, dense_vertices=0, reference_vertices=500)
 

@@ -18,28 +18,29 @@ from tryon_jax.tryon import init_model
 
 mesh = jax.make_mesh((2,), ("bodies",), axis_types=(AxisType.Explicit,))
 net = UNetConfig(widths=(4, 6), encoder_convs=2)
-config = load_config("small-node" if {node} else "small", smooth=net, fine=net, fabrics=FABRICS)
-model = init_model(jax.random.key(0), config)
 template = tj.load_pretrained().mean
-model = replace(model, mean=template)
-garment = tj.prepare(model, "tshirt", target_area=1.5e-3)
-betas = np.random.default_rng(0).uniform(-2, 2, (8, 2)).astype(np.float32)
-spread = jax.device_put(betas, NamedSharding(mesh, PartitionSpec("bodies")))
-drapes = tj.drape(model, garment, spread)
-assert drapes.sharding.spec[0] == "bodies", drapes.sharding
-assert len(drapes.addressable_shards) == 2
-np.testing.assert_allclose(drapes, tj.drape(model, garment, betas), atol=1e-6)
+for form in ("small", "small-node"):
+    config = load_config(form, smooth=net, fine=net, fabrics=FABRICS)
+    model = replace(init_model(jax.random.key(0), config), mean=template)
+    garment = tj.prepare(model, "tshirt", target_area=1.5e-3)
+    betas = np.random.default_rng(0).uniform(-2, 2, (8, 2)).astype(np.float32)
+    spread = jax.device_put(betas, NamedSharding(mesh, PartitionSpec("bodies")))
+    drapes = tj.drape(model, garment, spread)
+    assert drapes.sharding.spec[0] == "bodies", (form, drapes.sharding)
+    assert len(drapes.addressable_shards) == 2, form
+    np.testing.assert_allclose(drapes, tj.drape(model, garment, betas), atol=1e-6, err_msg=form)
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("node", [False, True])
-def test_bodies_on_two_devices(node: bool) -> None:
+def test_bodies_on_two_devices() -> None:
     environment = os.environ | {
+        # The networks are small: optimising their programs would take longer than running them.
+        "JAX_DISABLE_MOST_OPTIMIZATIONS": "1",
         "JAX_PLATFORMS": "cpu",
         "XLA_FLAGS": "--xla_force_host_platform_device_count=2",
         "PYTHONPATH": os.pathsep.join([os.getcwd(), *filter(None, sys.path)]),
     }
-    command = [sys.executable, "-c", _SCRIPT.format(node=node)]
+    command = [sys.executable, "-c", _SCRIPT]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

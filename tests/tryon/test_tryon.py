@@ -137,6 +137,7 @@ def test_fabrics_differ(model, garment):
     assert np.abs(np.asarray(first - second)).max() > 1e-5
 
 
+@pytest.mark.slow
 def test_derivatives_against_finite_differences(x64, model, garment):
     def double(tree):
         return jax.tree.map(lambda a: np.asarray(a, np.float64) if np.asarray(a).dtype == np.float32 else a, tree)

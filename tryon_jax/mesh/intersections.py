@@ -76,10 +76,13 @@ def _overlapping_boxes(low: Float[np.ndarray, "F 3"], high: Float[np.ndarray, "F
         if len(start) == 0:
             break
         a, b = box[start], box[start + shift]
+        # Boxes that overlap share many cells: the one with the lowest corner of what they share counts.
+        home = np.maximum(first[a], first[b])
+        here = (home[:, 0] * grid[1] + home[:, 1]) * grid[2] + home[:, 2] == key[start]
+        a, b = a[here], b[here]
         overlap = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
-        found.append(np.minimum(a, b)[overlap] * len(low) + np.maximum(a, b)[overlap])
-    pairs = np.unique(np.concatenate(found)) if found else np.zeros(0, np.int64)
-    return np.stack([pairs // len(low), pairs % len(low)], axis=1)
+        found.append(np.stack([np.minimum(a, b)[overlap], np.maximum(a, b)[overlap]], axis=1))
+    return np.concatenate(found) if found else np.zeros((0, 2), np.int64)
 
 
 def _volume(
@@ -106,11 +109,14 @@ def _edge_through(
     """Whether the segment passes through the triangle, its border included."""
     a, b, c = triangle[:, 0], triangle[:, 1], triangle[:, 2]
     pierced = _volume(a, b, c, start) * _volume(a, b, c, end) < 0
+    # Few edges pass through the plane.
+    start, end, a, b, c = (points[pierced] for points in (start, end, a, b, c))
     turns = np.stack([_volume(start, end, a, b), _volume(start, end, b, c), _volume(start, end, c, a)], axis=1)
     # Barycentric coordinates up to their common factor. Where the two halves of a symmetric body meet, edges pass
     # exactly through edges: without the tolerance rounding would decide, and mostly against both triangles.
     total = turns.sum(axis=1, keepdims=True)
-    return pierced & (turns * np.sign(total) >= -1e-9 * np.abs(total)).all(axis=1)
+    pierced[pierced] = (turns * np.sign(total) >= -1e-9 * np.abs(total)).all(axis=1)
+    return pierced
 
 
 def _cross(left: Float[np.ndarray, "P 3 3"], right: Float[np.ndarray, "P 3 3"]) -> Bool[np.ndarray, " P"]:

@@ -2,6 +2,7 @@
 
 from importlib import resources
 
+import jax
 import numpy as np
 import pytest
 
@@ -9,6 +10,8 @@ from experiments.train.widen import Config, main
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import drape, load_model, prepare
+
+pytestmark = pytest.mark.slow
 
 SHIPPED = resources.files("tryon_jax") / "data" / "models" / "small.safetensors"
 
@@ -28,10 +31,11 @@ def config(tmp_path_factory):
 def test_drapes_and_the_record_of_training_are_kept(config):
     before, after = load_model(config.model), load_model(model_path(config.run))
     assert (after.config.smooth.widths, after.config.fine.widths) == (config.smooth, config.fine)
-    betas = np.array([[1.0, -0.5]], np.float32)
+    betas, run = np.array([[1.0, -0.5]], np.float32), jax.jit(drape, static_argnames="fabric")
+    narrow, wide = prepare(before, "tank"), prepare(after, "tank")
     for fabric in before.config.fabrics:
-        expected = drape(before, prepare(before, "tank"), betas, fabric=fabric)
-        np.testing.assert_allclose(drape(after, prepare(after, "tank"), betas, fabric=fabric), expected, atol=2e-5)
+        expected = run(before, narrow, betas, fabric=fabric)
+        np.testing.assert_allclose(run(after, wide, betas, fabric=fabric), expected, atol=2e-5)
     assert read_record(model_path(config.run))["training"] == read_record(config.model)["training"]
 
 
