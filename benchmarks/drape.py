@@ -5,7 +5,7 @@ python -m benchmarks drape --configs small --vertices 3581 --batches 1 8
 """
 
 import importlib.util
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -64,7 +64,7 @@ def weights_gradient(model: TryOnModel, garment: Garment, betas: jax.Array) -> A
     fabric = model.config.fabrics[0]
 
     def by_parts(smooth: Any, fine: Any) -> jax.Array:
-        changed = type(model)(model.mean, smooth, {fabric: fine}, model.body, model.config)
+        changed = replace(model, smooth=smooth, fine={fabric: fine})
         return loss(changed, garment, betas)
 
     return jax.grad(by_parts, argnums=(0, 1))(model.smooth, model.fine[fabric])
