@@ -1,6 +1,6 @@
 """R_stance: learned drapes of lowered arms on designs that no training has seen, beside simpler ways."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import Manifest, load_manifest
+from tryon_jax.garment.pattern_map import map_patterns
 from tryon_jax.graph.skinning import garment_skinning
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.physics.fabric_numbers import fabric_numbers
@@ -27,6 +28,7 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.descents import Descent, descent_files, load_descents
+from tryon_jax.training.drapes import load_mesh
 from tryon_jax.training.garments import prepare_simulated
 from tryon_jax.training.stance_network import HELD_OUT, carry_back
 from tryon_jax.tryon import Garment, TryOnModel, drape, load_model, load_pretrained
@@ -83,7 +85,12 @@ def main(config: Config) -> None:
         cases += load_cases(model, config.fabric_data, manifest)
     neighbours = StanceNeighbours(model, config.data, manifest)
     rows = [row for case in tqdm(cases, desc="descents", mininterval=2) for row in measure(model, case, neighbours)]
-    results = {"rows": rows, "trained": list(_network(model).config.shared_fabrics), "cases": len(cases)}
+    results = {
+        "rows": rows,
+        "trained": list(_network(model).config.shared_fabrics),
+        "cases": len(cases),
+        "spread": spread(config.data, cases),
+    }
     publish(config, "stance_networks", results, markdown, weights=path or pretrained_path("small" + STANCE))
     draw(config, model, cases)
 
@@ -106,6 +113,28 @@ def load_cases(model: TryOnModel, root: Path, manifest: Manifest) -> list[Case]:
         skinning = garment_skinning(garment.mean_vertices, garment.faces, model.body)
         found += [Case(name, garment, fabric, d, skinning) for d in load_descents(root, name, fabric)]
     return found
+
+
+def spread(root: Path, cases: Sequence[Case]) -> dict[str, dict[str, float]]:
+    """How far simulations of two topologies of a design are apart on the mean body, mm, by fabric and stance.
+
+    Args:
+        root: Folder of the dataset.
+        cases: Descents of garments that no training sees, some of which are other topologies of trained designs.
+    """
+    found: dict[str, dict[str, list[float]]] = {}
+    for case in cases:
+        label = case.name.rsplit("-", 1)[0]
+        others = [d for d in load_descents(root, f"{label}-0", case.fabric) if not d.betas.any()]
+        if case.name == f"{label}-0" or case.descent.betas.any() or not others:
+            continue
+        carry = map_patterns(load_mesh(root, case.name), load_mesh(root, f"{label}-0"))
+        mine = dict(zip(map(float, case.descent.degrees), case.descent.vertices, strict=True))
+        theirs = dict(zip(map(float, others[0].degrees), others[0].vertices, strict=True))
+        for degrees in set(STANCES) & set(mine) & set(theirs):
+            apart = np.linalg.norm(mine[degrees] - carry(theirs[degrees][None])[0], axis=1).mean()
+            found.setdefault(case.fabric, {}).setdefault(f"{degrees:g}", []).append(1e3 * float(apart))
+    return {fabric: {k: float(np.mean(v)) for k, v in table.items()} for fabric, table in found.items()}
 
 
 class StanceNeighbours:
@@ -278,24 +307,20 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
     """One row for each stance and kind of fabric."""
     trained = set(results["trained"])
     lines = [
-        f"{results['cases']} descents of unseen designs on test bodies, mean distance from the simulation, mm. "
+        f"{results['cases']} descents that no training saw, mean distance from the simulation, mm. "
         "*Skinned*: the simulated T-pose drape, moved with the nearest skin. *kNN*: the change of the nearest training "
         "garments, by place and design. *R_stance*: the learned change on the simulated T-pose drape. *Networks*: the "
         "learned change on the learned drape, whose own error in T-pose is in brackets. "
         f"No training saw the stance of {HELD_OUT:g}°. Inside: share of the cloth inside the body before any push-out; "
         "crossed: share of triangles that pass through others.",
         "",
-        "| fabrics | arms below the horizontal | skinned | kNN | R_stance | networks (in T-pose) | "
+        "| garments and fabrics | arms below the horizontal | skinned | kNN | R_stance | networks (in T-pose) | "
         "inside: skinned · networks · simulated, % | crossed: the same, % |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    groups = {
-        "simulated with many designs": [f for f in ("gray-interlock", "white-dots-on-blk") if f in trained],
-        "not trained on": sorted({row["fabric"] for row in results["rows"]} - trained),
-    }
-    for title, fabrics in groups.items():
+    for title, belongs in _groups(trained).items():
         for degrees in STANCES:
-            rows = [r for r in results["rows"] if r["degrees"] == degrees and r["fabric"] in fabrics]
+            rows = [r for r in results["rows"] if r["degrees"] == degrees and belongs(r)]
             if not rows:
                 continue
             means = {way: np.mean([r["errors"][way] for r in rows if way in r["errors"]] or [np.nan]) for way in WAYS}
@@ -306,7 +331,28 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
                 for kind in ("inside", "crossed")
             ]
             lines.append(f"| {title} | {degrees:g}° | {' | '.join([*cells, *shares])} |")
+    for fabric, table in results["spread"].items():
+        apart = ", ".join(f"{value:.2f} at {degrees}°" for degrees, value in sorted(table.items(), key=_angle))
+        lines += ["", f"Simulations of two topologies of one design in {fabric} are apart by, mm: {apart}."]
     return lines
+
+
+def _angle(item: tuple[str, float]) -> float:
+    return float(item[0])
+
+
+def _groups(trained: set[str]) -> dict[str, Callable[[Mapping[str, Any]], bool]]:
+    """Which rows belong to which group."""
+    unseen = {design.label for design in load_manifest().unseen}
+
+    def new_design(row: Mapping[str, Any]) -> bool:
+        return row["garment"].rsplit("-", 1)[0] in unseen
+
+    return {
+        "unseen designs on test bodies": lambda row: new_design(row) and row["fabric"] in trained,
+        "the same in fabrics not trained on": lambda row: new_design(row) and row["fabric"] not in trained,
+        "unseen topologies of a trained design on the mean body": lambda row: not new_design(row),
+    }
 
 
 def _network(model: TryOnModel) -> Any:

@@ -19,9 +19,11 @@ class Config:
     """Which drapes to follow; running again continues where it stopped."""
 
     data: Path = field(default_factory=default_root)
-    """Folder of the dataset; its first topologies are followed."""
-    part: Literal["training", "additional", "unseen"] = "training"
-    """Which of its designs."""
+    """Folder of the dataset; first topologies are followed, whose drapes are stored with their friction."""
+    part: Literal["training", "additional", "unseen", "topologies"] = "training"
+    """Which of its designs; topologies: the unseen ones of one training design, on the mean body."""
+    topology_design: str = "tshirt"
+    """Design of `--part topologies`."""
     designs: int = 300
     """At most so many of them, the first ones."""
     bodies: int = 5
@@ -43,9 +45,12 @@ def main(config: Config) -> None:
         where = "in" if set(missing) <= set(fabric_names()) else "known, let alone in"
         raise ValueError(f"fabrics {missing} are not {where} the dataset {str(root)!r}; it has {', '.join(simulated)}")
     remove_leftovers(root)
-    designs = [design.label for design in getattr(manifest, config.part)[: config.designs]]
-    garments = garment_names(manifest, designs, manifest.training_seeds[:1])
-    tasks = plan_descents(root, manifest, garments, fabrics, config.bodies)
+    if config.part == "topologies":
+        designs, seeds, bodies = [config.topology_design], manifest.test_seeds, 1
+    else:
+        designs = [design.label for design in getattr(manifest, config.part)[: config.designs]]
+        seeds, bodies = manifest.training_seeds[:1], config.bodies
+    tasks = plan_descents(root, manifest, garment_names(manifest, designs, seeds), fabrics, bodies)
     missing_tasks = [task for task in tasks if not task.path(root).exists()]
     with open_pool(config.processes) as pool:
         jobs = [(str(root), task) for task in missing_tasks]

@@ -73,7 +73,7 @@ def test_a_learned_drape_is_lowered_by_the_networks(learned: tj.Session, carried
     standing = tj.lower_arms(learned, dressed, 30.0, outside=False)
     assert not carried, "no simulation"
     assert standing.arms == 30.0
-    np.testing.assert_array_equal(standing.vertices, learned.stand(dressed, 30.0))
+    np.testing.assert_array_equal(standing.vertices, learned.stand(dressed, 30.0)[0])
     _, skinned = pose_dressed(
         learned.body,
         dressed.body.vertices,

@@ -46,9 +46,14 @@ class Treatment:
     own: OwnOptions = field(default_factory=OwnOptions)
     seed: int = 0
 
+    @property
+    def simulates(self) -> bool:
+        """Whether the simulator takes part."""
+        return self.simulate or self.refine
+
     def check_fabric(self, session: Session, fabric: str | None) -> None:
         """Raise `ValueError` for a fabric that neither the networks nor, where it takes part, the simulator knows."""
-        if fabric is not None and (self.simulate or self.refine):
+        if fabric is not None and self.simulates:
             load_fabric(fabric)
         else:
             session.check_fabric(fabric)

@@ -17,6 +17,7 @@ from tryon_jax.commands._answer import Treatment, answer, pictured
 from tryon_jax.commands._batch import Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._output import OutputOptions, Target
+from tryon_jax.commands._quick import compiled_quickly
 from tryon_jax.commands._report import report_lines
 from tryon_jax.commands._request import BodyShape, Cut, Request, read_requests
 from tryon_jax.commands._say import say
@@ -120,7 +121,11 @@ def main(config: Config) -> None:
         _drape_batch(session, Batch(folder, requests, targets, treatment, output, pose, _options(config)), clock)
         return
     (request,), (target,) = requests, targets
-    dressed, remarks = answer(session, request, treatment, clock, pose)
+    # A single drape is evaluated once; the solver of a simulation runs long, and sliders drape many bodies.
+    once = not (treatment.simulates or config.garment is not None or config.morph_targets)
+    with compiled_quickly(once):
+        dressed, remarks = answer(session, request, treatment, clock, pose)
+        shown = None if target.picture is None else pictured(session, dressed, treatment, clock, pose)
     morphs = None
     if config.morph_targets:
         with clock.stage("morph targets"):
@@ -128,7 +133,6 @@ def main(config: Config) -> None:
             morphs = fit_morph_targets(
                 session, dressed.garment, dressed.fabric, outside=config.push_out, progress=progress
             )
-    shown = None if target.picture is None else pictured(session, dressed, treatment, clock, pose)
     written = target.write(dressed, request.name, output, clock, morphs, shown)
     lines = [] if morphs is None else morphs.lines()
     say(*report_lines(dressed, remarks), *lines, *(f"wrote    {path}" for path in written), clock)

@@ -17,7 +17,6 @@ from tryon_jax.contact.push_out import CLEARANCE, push_out
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import fabric_names, is_fabric_file, known_fabric, load_fabric
 from tryon_jax.tryon import DrapeFields, TryOnModel, drape_fields, drape_stages, field_stages, load_pretrained
-from tryon_jax.tryon.stance import StanceFields, stance_fields, stand
 from tryon_jax.types import ArrayLike, Body
 from tryon_jax.wear.dressed import DressedBody
 from tryon_jax.wear.fit import measure_fit
@@ -28,6 +27,7 @@ from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session_bodies import Betas
 from tryon_jax.wear.session_garments import DesignLike, SessionGarments
 from tryon_jax.wear.simulate import Progress
+from tryon_jax.wear.standing import Standing
 from tryon_jax.wear.stopwatch import Stopwatch
 
 TOGETHER = 64
@@ -74,10 +74,8 @@ class Session(SessionGarments):
         # A fabric by its numbers is an argument like any other: another one compiles nothing.
         self._make_any_fields = jax.jit(drape_fields)
         self._apply_fields = jax.jit(field_stages)
-        self._make_stance_fields = jax.jit(stance_fields)
-        self._stand = jax.jit(stand)
         self._fields: LastUsed[DrapeFields] = LastUsed(_FIELDS)
-        self._stance_fields: LastUsed[StanceFields] = LastUsed(_FIELDS)
+        self._standing = Standing(self.model)
 
     @property
     def fabrics(self) -> tuple[str, ...]:
@@ -192,8 +190,8 @@ class Session(SessionGarments):
             smooth, fine = stages.smooth, stages.fine
         return garment.garment.unpad(smooth)[:count], garment.garment.unpad(fine)[:count]
 
-    def stand(self, dressed: DressedBody, degrees: float) -> Float[np.ndarray, "V 3"]:
-        """The garment where R_stance has it with the arms lowered, metres; `tj.lower_arms` does the whole of it.
+    def stand(self, dressed: DressedBody, degrees: float) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "B 3"]]:
+        """The garment where R_stance has it with the arms lowered, and the body, metres; see `tj.lower_arms`.
 
         Args:
             dressed: In T-pose, on the networks' body.
@@ -202,20 +200,7 @@ class Session(SessionGarments):
         Raises:
             ValueError: The model has no R_stance.
         """
-        garment = dressed.garment.garment
-        numbers = np.asarray(fabric_numbers(load_fabric(dressed.fabric)))
-        fields = self._stance_fields.get(
-            (dressed.garment, numbers.tobytes()), lambda: self._make_stance_fields(self.model, garment, numbers)
-        )
-        # Padded as the fields are, so that another garment of the size compiles nothing.
-        rows = np.asarray(fields.fields).shape[0]
-        vertices, skinning = (
-            np.pad(np.asarray(a, np.float32), ((0, rows - len(a)), (0, 0)))
-            for a in (dressed.vertices, self.skinning(dressed.garment))
-        )
-        betas = np.asarray(dressed.body.betas, np.float32)
-        standing = self._stand(fields, self.model.body, betas, np.float32(degrees), vertices, skinning)
-        return np.asarray(standing)[: len(dressed.vertices)]
+        return self._standing(dressed, degrees, self.skinning(dressed.garment))
 
     def refine(
         self,

@@ -70,9 +70,9 @@ def lower_arms(
                 progress,
             )
             vertices = result.vertices
+            skin = np.asarray(_pose_body(session.body, np.asarray(dressed.body.betas, np.float32), pose)[0])
         else:
-            vertices = session.stand(dressed, degrees)
-        skin = np.asarray(_pose_body(session.body, np.asarray(dressed.body.betas, np.float32), pose)[0])
+            vertices, skin = session.stand(dressed, degrees)
     standing = replace(
         dressed,
         body=replace(dressed.body, vertices=skin),

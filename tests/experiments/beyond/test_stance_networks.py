@@ -7,8 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from experiments.beyond.stance_networks import HELD_OUT, STANCES, StanceNeighbours, load_cases, markdown, measure
-from tests.experiments.known_data import BETAS, FABRICS, known_model, write_known
+from experiments.beyond.stance_networks import (
+    HELD_OUT,
+    STANCES,
+    StanceNeighbours,
+    load_cases,
+    markdown,
+    measure,
+    spread,
+)
+from tests.experiments.known_data import BETAS, FABRICS, GARMENTS, known_model, write_known
 from tests.tryon.test_stance import with_stance
 from tryon_jax.body.pose import skinning_motion
 from tryon_jax.body.stance import arms_pose
@@ -16,6 +24,7 @@ from tryon_jax.garment import load_manifest
 from tryon_jax.graph.skinning import garment_skinning
 from tryon_jax.training.dataset import save_arrays
 from tryon_jax.training.descents import DescentTask
+from tryon_jax.training.drapes import load_mesh
 from tryon_jax.training.garments import prepare_simulated
 from tryon_jax.tryon import TryOnModel
 
@@ -54,6 +63,23 @@ def root(model: TryOnModel, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_two_topologies_of_a_design_are_compared_through_the_pattern(model: TryOnModel, tmp_path: Path) -> None:
+    write_known(tmp_path, model, lambda _n, _f, mean, _: np.repeat(mean[None], len(BETAS), axis=0), GARMENTS[:2])
+    for name, height in zip(GARMENTS[:2], (0.0, 0.003), strict=True):
+        start = prepare_simulated(model, tmp_path, name).mean_vertices
+        # In the plane of the pattern a drape that is linear in it is read without error on any mesh.
+        uv = load_mesh(tmp_path, name)
+        flat = np.zeros_like(start)
+        flat[uv["faces"]] = np.pad(uv["uv"], ((0, 0), (0, 1)))[uv["faces_uv"]]
+        vertices = (flat * [1.0, 1.0, 0.0] + [0.0, 0.0, height])[None].astype(np.float32)
+        arrays = {"betas": np.zeros(2), "test": False, "start": start, "degrees": np.float32([45.0])}
+        path = DescentTask(name, FABRICS[0]).path(tmp_path)
+        save_arrays(path, arrays | {"vertices": vertices, "residual": np.float32([0.01])})
+    cases = load_cases(model, tmp_path, load_manifest())
+    found = spread(tmp_path, cases)
+    assert found[FABRICS[0]]["45"] == pytest.approx(3.0, abs=1.5)
+
+
 def test_errors_are_the_changes_that_a_way_leaves_out(model: TryOnModel, root: Path) -> None:
     manifest = load_manifest()
     (case,) = load_cases(model, root, manifest)
@@ -67,6 +93,7 @@ def test_errors_are_the_changes_that_a_way_leaves_out(model: TryOnModel, root: P
         assert row["errors"]["R_stance"] == pytest.approx(row["errors"]["skinned"], rel=1e-3)
         assert row["errors"]["kNN"] < 0.02
         assert row["t_pose"] > 0.01, "an untrained network"
-    lines = markdown({"rows": rows, "trained": list(FABRICS), "cases": 1})
-    assert any(line.startswith("| simulated with many designs | 15° | 3.") for line in lines)
+    lines = markdown({"rows": rows, "trained": list(FABRICS), "cases": 1, "spread": {"knit": {"45": 2.0, "15": 1.0}}})
+    assert any(line.startswith("| unseen designs on test bodies | 15° | 3.") for line in lines)
+    assert "in knit are apart by, mm: 1.00 at 15°, 2.00 at 45°." in lines[-1]
     assert not any("| 45° |" in line for line in lines)
