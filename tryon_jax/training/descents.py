@@ -95,6 +95,9 @@ def plan_descents(
             paths = sorted((root / "rays").glob(f"{garment}_{fabric}_*.npz"), key=lambda p: order[_number(p)])
             for k, path in enumerate(paths[: bodies - 1]):
                 ray = load_arrays(path)
+                if "slip" not in ray:
+                    # Other topologies are not followed along rays: nothing could start from their drapes.
+                    continue
                 rows = np.flatnonzero(is_good(ray) & (ray["test"].astype(bool) == wanted))
                 if len(rows):
                     # The outermost shape of one ray, one in the middle of the next.
