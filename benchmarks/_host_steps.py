@@ -1,4 +1,4 @@
-"""The section of the page about what the host does round the networks: records of `wear` and `picture`."""
+"""The section of the page about what the host does round the networks: records of `first`, `wear` and `picture`."""
 
 import json
 from collections.abc import Sequence
@@ -8,6 +8,12 @@ from typing import Any
 from measuring.records import table
 
 ABOUT = {
+    "first": (
+        "The first drape of a new process",
+        "From the start of `tryon drape --design dress --betas 1.5 -0.5` to its files (`python -m benchmarks first`), "
+        "everything compiled on the way or, with `TRYON_JAX_CACHE`, in an earlier run. The picture has 900 pixels and "
+        "three sides.",
+    ),
     "wear": (
         "One try-on on the host",
         "Medians of one core (`python -m benchmarks wear`): everything about a try-on but the networks.",
