@@ -20,7 +20,8 @@ from tryon_jax.physics.batch import sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow
 from tryon_jax.physics.fabrics import load_fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, step
+from tryon_jax.physics.solver import step
+from tryon_jax.physics.state import ClothState, SolverSettings
 
 FABRIC = "gray-interlock"
 MARGIN = 2e-3
@@ -100,8 +101,13 @@ def _dressed(vertices: int) -> Drape:
 
 def _matrix_bytes(cloth: Cloth) -> float:
     """The block matrix once, with its columns and four vectors."""
-    rows, slots = cloth.neighbours.shape
-    return float(rows * slots * 40 + 8 * rows * 12)
+    return float(_num_blocks(cloth) * 40 + 8 * len(cloth.vertex_areas) * 12)
+
+
+def _num_blocks(cloth: Cloth) -> int:
+    """Blocks of the system matrix, empty ones included."""
+    beside, rows = cloth.incidence.neighbours.shape
+    return rows * (beside + 1)
 
 
 def solver_step(cell: Cell) -> Work:
@@ -139,7 +145,7 @@ def solver_step(cell: Cell) -> Work:
         return max(error, apart / 1e-3 * 1e-2)
 
     moved = cell.batch * CG_ITERATIONS * _matrix_bytes(cloth)
-    flops = cell.batch * CG_ITERATIONS * 18.0 * np.prod(cloth.neighbours.shape)
+    flops = cell.batch * CG_ITERATIONS * 18.0 * _num_blocks(cloth)
     return Work(
         lambda state, cloth, surface, x: run(x, state, cloth, surface),
         fixed, inputs, check, 1e-2, "relative", cell.batch, flops, moved,
@@ -166,7 +172,7 @@ class FullEquilibrium:
         self.settings, self.equilibrium = SolverSettings(), Equilibrium()
         self.start = _at_rest(cell.vertices)
         self.moved = CG_ITERATIONS * 30 * _matrix_bytes(self.cloth)
-        self.flops = CG_ITERATIONS * 30 * 18.0 * float(np.prod(self.cloth.neighbours.shape))
+        self.flops = CG_ITERATIONS * 30 * 18.0 * _num_blocks(self.cloth)
 
     def __call__(self, number: int) -> Drape:
         """Follow the body to one of three shapes, an eighth of a ray away."""

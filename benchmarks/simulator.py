@@ -23,7 +23,7 @@ from tryon_jax.physics.batch import sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, sweep
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 from tryon_jax.training.protocol import RAY_LENGTH, make_protocol
 
 Result = TypeVar("Result")

@@ -10,7 +10,8 @@ from tryon_jax.contact.surface import Surface, build_surface, nearest_vertices
 from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import GRID, Fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
+from tryon_jax.physics.solver import StepReport, solve
+from tryon_jax.physics.state import ClothState, SolverSettings, resting
 
 BUCKET = 64
 FAR = 5.0

@@ -16,7 +16,7 @@ from tryon_jax.garment.pattern_derivative import carry_pattern, pattern_derivati
 from tryon_jax.physics.at_rest import at_rest
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.rest_shape import PatternNearDesign, find_rest_corners, uv_near, with_rest_shape
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 
 FACES, UV = sheet(7, 6, 0.14, 0.12)
 SETTINGS = SolverSettings(retention=0.0, linear_tolerance=1e-8, linear_iterations=2000)

@@ -8,10 +8,12 @@ import pytest
 from cloth_scenes import horizontal, make_cloth, make_fabric, place, run, sheet, slab, start, wavy
 from round_body import RADIUS, make_ball
 
-from tryon_jax.physics.batch import _widen, dress_many, solve_many, stack, stack_cloths, stack_fabrics, sweep_many
+from tryon_jax.physics.batch import dress_many, solve_many, stack, stack_cloths, stack_fabrics, sweep_many
+from tryon_jax.physics.block_matrix import multiply
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow
-from tryon_jax.physics.linear import multiply
-from tryon_jax.physics.solver import SolverSettings, internal_forces
+from tryon_jax.physics.elasticity import deform, elastic_blocks, elastic_gradient
+from tryon_jax.physics.incidence import widen
+from tryon_jax.physics.state import SolverSettings
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 
@@ -111,18 +113,26 @@ def test_a_lane_that_left_the_numbers_harms_no_other(obstacle: Obstacle, togethe
     assert not bad.converged(EQUILIBRIUM)
 
 
+def fan(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles around the first vertex: it has `count` neighbours."""
+    turn = 2 * np.pi * np.arange(count) / count
+    uv = 0.05 * np.concatenate([[[0, 0]], np.stack([np.cos(turn), np.sin(turn)], axis=1)])
+    around = 1 + np.arange(count)
+    return np.stack([0 * around, around, np.roll(around, -1)], axis=1), uv
+
+
 def test_wider_rows_are_the_same_matrix(x64: None) -> None:
     faces, uv = sheet(5, 4, 0.1, 0.08)
     cloth, fabric = make_cloth(faces, uv), make_fabric()
-    x = place(wavy(uv, 0), cloth)
-    y = jnp.asarray(np.random.default_rng(0).normal(size=(3, 64)))
-    _, face_blocks, hinge_blocks = internal_forces(x, cloth, fabric)
-    products = []
-    for each in (cloth, _widen(cloth, 17)):
-        rows, slots = each.neighbours.shape
-        blocks = jnp.zeros((rows * slots, 9)).at[each.face_slots.reshape(-1)].add(face_blocks.reshape(-1, 9))
-        blocks = blocks.at[each.hinge_slots.reshape(-1)].add(hinge_blocks.reshape(-1, 9)).reshape(rows, slots, 3, 3)
-        products.append(multiply(blocks.transpose(1, 2, 3, 0), jnp.asarray(each.neighbours).T, y))
+    wide = widen(cloth.incidence, [make_cloth(*fan(13)).incidence], len(cloth.face_areas), len(cloth.hinge_shape))
+    assert len(wide.neighbours) == 13 > len(cloth.incidence.neighbours)
+    x, y = place(wavy(uv, 0), cloth), jnp.asarray(np.random.default_rng(0).normal(size=(3, 64)))
+    gradients, products = [], []
+    for each in (cloth, dataclasses.replace(cloth, incidence=wide)):
+        deformation = deform(x, each, fabric)
+        gradients.append(elastic_gradient(deformation, each))
+        products.append(multiply(elastic_blocks(deformation, each, fabric), jnp.asarray(each.incidence.neighbours), y))
+    np.testing.assert_array_equal(gradients[0], gradients[1])
     np.testing.assert_allclose(products[0], products[1], rtol=1e-12)
 
 
@@ -130,6 +140,6 @@ def test_only_cloths_of_one_bucket_stack() -> None:
     small = make_cloth(*sheet(5, 4, 0.1, 0.08), np.float32)
     with pytest.raises(ValueError, match=r"one size bucket to be stacked, got \[64, 128\]"):
         stack_cloths([CLOTHS[0], small])
-    stacked = stack_cloths([CLOTHS[0], _widen(CLOTHS[1], 15)])
-    assert stacked.neighbours.shape == (2, 128, 15)
+    stacked = stack_cloths([CLOTHS[0], make_cloth(*fan(15), np.float32, bucket=128)])
+    assert stacked.incidence.neighbours.shape == (2, 15, 128)
     assert stack_fabrics(FABRICS).density.shape == (2,)

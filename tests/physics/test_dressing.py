@@ -9,7 +9,7 @@ from cloth_scenes import horizontal, make_cloth, make_fabric, sheet
 from round_body import GROWTH, RADIUS, make_ball
 
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow, sweep
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 
 FACES, UV = sheet(10, 10, 0.4, 0.4)
 CLOTH = make_cloth(FACES, UV, np.float32, bucket=128)

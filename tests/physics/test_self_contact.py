@@ -10,7 +10,7 @@ from cloth_scenes import ClothState, horizontal, jitted_solve, make_cloth, make_
 from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.physics.body_contact import ContactLaw, pressure
 from tryon_jax.physics.self_contact import SelfContact, SelfPairs, find_pairs, self_contact
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 
 SETTINGS = SelfContact(thickness=0.004, reach=0.012, rings=2, capacity=256)
 LAW = ContactLaw()

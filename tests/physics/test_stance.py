@@ -11,8 +11,8 @@ from tryon_jax.mesh.intersections import self_intersecting_faces
 from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, relax
 from tryon_jax.physics.proxy import skinning_weights
-from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.physics.stance import STEP, StanceObstacle, lower_arms
+from tryon_jax.physics.state import SolverSettings
 
 BODY = load_body("female")
 BETAS = np.array([0.5, 0.5], np.float32)

@@ -11,7 +11,8 @@ import trimesh
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Obstacle
 from tryon_jax.physics.fabrics import Fabric, load_fabric
-from tryon_jax.physics.solver import StepReport, resting
+from tryon_jax.physics.solver import StepReport
+from tryon_jax.physics.state import resting
 from tryon_jax.training.dataset import STATISTICS, is_good
 from tryon_jax.training.inspect import Inspector, principal_tension
 

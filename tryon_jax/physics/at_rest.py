@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from tryon_jax.contact.closest_points import point_on_faces
 from tryon_jax.contact.surface import Surface
+from tryon_jax.physics.block_matrix import invert_blocks
 from tryon_jax.physics.body_contact import (
     ContactLaw,
     contact_at_faces,
@@ -21,9 +22,10 @@ from tryon_jax.physics.body_contact import (
     normal_gradient,
 )
 from tryon_jax.physics.cloth import Cloth
+from tryon_jax.physics.elasticity import deform, elastic_gradient
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.linear import invert_blocks
-from tryon_jax.physics.solver import ClothState, SolverSettings, internal_forces, tangent_blocks
+from tryon_jax.physics.solver import tangent_blocks
+from tryon_jax.physics.state import ClothState, SolverSettings
 from tryon_jax.types import EXACT, Scalar
 
 TOLERANCE = 1e-6
@@ -64,14 +66,14 @@ def at_rest(
     x0 = state.x + state.remainder
     held = (jnp.asarray(cloth.active) == 0) | (False if pinned is None else pinned)
     blocks = tangent_blocks(state, *jax.lax.stop_gradient((cloth, fabric)), start, settings)
-    inverse = jax.lax.stop_gradient(invert_blocks(blocks[:, 0]))
+    inverse = jax.lax.stop_gradient(invert_blocks(blocks.diagonal))
 
     def imbalance(x: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
         force = net_gradient(x, state, start, cloth, fabric, surface, settings.law, settings.gravity)
         return jnp.where(held[:, None], x - x0, force)
 
     def precondition(force: Float[Array, "V 3"]) -> Float[Array, "V 3"]:
-        moved = jnp.einsum("vij,vj->vi", inverse, force, precision=EXACT)
+        moved = jnp.einsum("ijv,vj->vi", inverse, force, precision=EXACT)
         return jnp.where(held[:, None], force, moved)
 
     def solve(product, right):
@@ -105,7 +107,7 @@ def net_gradient(
         law: Of contact.
         gravity: m/s², along −y.
     """
-    gradient, _, _ = internal_forces(x, cloth, fabric)
+    gradient = elastic_gradient(deform(x, cloth, fabric), cloth)
     contact = contact_at_faces(x, rest.face, cloth, fabric, surface, law, 0.0)
     mass = cloth.vertex_areas * jnp.asarray(fabric.density, x.dtype)
     weight = jnp.zeros_like(x).at[:, 1].set(mass * gravity)

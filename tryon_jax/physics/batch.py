@@ -20,7 +20,9 @@ from tryon_jax.physics.body_contact import sample_points
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, start_state, weightless
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, solve
+from tryon_jax.physics.incidence import widen
+from tryon_jax.physics.solver import StepReport, solve
+from tryon_jax.physics.state import ClothState, SolverSettings
 
 Tree = TypeVar("Tree")
 
@@ -31,7 +33,7 @@ def stack(trees: Sequence[Tree]) -> Tree:
 
 
 def stack_cloths(cloths: Sequence[Cloth]) -> Cloth:
-    """Cloths of one bucket with a leading axis, their block rows as wide as the widest.
+    """Cloths of one bucket with a leading axis, their tables of incidence as long as the longest.
 
     Raises:
         ValueError: they are of different buckets.
@@ -39,29 +41,14 @@ def stack_cloths(cloths: Sequence[Cloth]) -> Cloth:
     sizes = sorted({cloth.vertex_areas.shape[0] for cloth in cloths})
     if len(sizes) != 1:
         raise ValueError(f"cloths must be of one size bucket to be stacked, got {sizes} padded vertices")
-    slots = max(cloth.neighbours.shape[1] for cloth in cloths)
-    return stack([_widen(cloth, slots) for cloth in cloths])
+    tables = [cloth.incidence for cloth in cloths]
+    counts = len(cloths[0].face_areas), len(cloths[0].hinge_shape)
+    return stack([replace(cloth, incidence=widen(cloth.incidence, tables, *counts)) for cloth in cloths])
 
 
 def stack_fabrics(fabrics: Sequence[Fabric]) -> Fabric:
     """Fabrics with a leading axis; their names, which are no arrays, go."""
     return stack([fabric.unnamed for fabric in fabrics])
-
-
-def _widen(cloth: Cloth, slots: int) -> Cloth:
-    """The same cloth with more blocks per row of its system matrix; the new ones stay zero."""
-    rows, old = cloth.neighbours.shape
-    extra = np.broadcast_to(np.arange(rows, dtype=np.int32)[:, None], (rows, slots - old))
-
-    def moved(flat: np.ndarray) -> jnp.ndarray:
-        return jnp.asarray(flat // old * slots + flat % old)
-
-    return replace(
-        cloth,
-        neighbours=jnp.asarray(np.concatenate([np.asarray(cloth.neighbours), extra], axis=1)),
-        face_slots=moved(np.asarray(cloth.face_slots)),
-        hinge_slots=moved(np.asarray(cloth.hinge_slots)),
-    )
 
 
 @jax.jit

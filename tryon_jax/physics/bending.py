@@ -6,10 +6,9 @@ without a cap on one side, which makes a roll cost up to 2.9 times more there; o
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
-from tryon_jax.physics.cloth import HINGE_PAIRS, Cloth
+from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 
 CURVATURE_STEP = 5.0
@@ -18,21 +17,22 @@ CURVATURE_STEP = 5.0
 
 def dihedral_angles(x: Float[Array, "V 3"], cloth: Cloth) -> tuple[Float[Array, " H"], Float[Array, "H 4 3"]]:
     """Signed dihedral angle of each hinge, radians (0 = flat), and its gradient at the four vertices, 1/m."""
-    p = x[cloth.hinges]
+    # Hinges come last, along vector registers.
+    p = x.T.at[:, jnp.asarray(cloth.hinges).T].get(mode="promise_in_bounds")
     edge, first, second = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], p[:, 3] - p[:, 0]
-    n0, n1 = jnp.cross(edge, first), jnp.cross(second, edge)
+    n0, n1 = jnp.cross(edge, first, axis=0), jnp.cross(second, edge, axis=0)
     # Underflow guards far below the squared area of any real face (1e-8 m⁴).
-    s0, s1 = (n0 * n0).sum(-1) + 1e-16, (n1 * n1).sum(-1) + 1e-16
-    squared = (edge * edge).sum(-1) + 1e-16
+    s0, s1 = (n0 * n0).sum(0) + 1e-16, (n1 * n1).sum(0) + 1e-16
+    squared = (edge * edge).sum(0) + 1e-16
     length = jnp.sqrt(squared)
-    theta = jnp.arctan2((jnp.cross(n0, n1) * edge).sum(-1) / length, (n0 * n1).sum(-1))
-    at_c = -(length / s0)[:, None] * n0
-    at_d = -(length / s1)[:, None] * n1
-    weight_c = ((first * edge).sum(-1) / squared)[:, None]
-    weight_d = ((second * edge).sum(-1) / squared)[:, None]
+    theta = jnp.arctan2((jnp.cross(n0, n1, axis=0) * edge).sum(0) / length, (n0 * n1).sum(0))
+    at_c = -(length / s0)[None] * n0
+    at_d = -(length / s1)[None] * n1
+    weight_c = ((first * edge).sum(0) / squared)[None]
+    weight_d = ((second * edge).sum(0) / squared)[None]
     at_a = -(1 - weight_c) * at_c - (1 - weight_d) * at_d
     at_b = -weight_c * at_c - weight_d * at_d
-    return theta, jnp.stack([at_a, at_b, at_c, at_d], axis=1)
+    return theta, jnp.stack([at_a, at_b, at_c, at_d]).transpose(2, 0, 1)
 
 
 def hinge_stiffness(theta: Float[Array, " H"], cloth: Cloth, fabric: Fabric) -> Float[Array, " H"]:
@@ -83,14 +83,16 @@ def bending_force(x: Float[Array, "V 3"], cloth: Cloth, fabric: Fabric) -> Float
     return jnp.zeros_like(x).at[cloth.hinges].add(-moment[:, None, None] * gradient)
 
 
-def hinge_hessian(stiffnesses: Float[Array, " H"], gradient: Float[Array, "H 4 3"]) -> Float[Array, "H 14 3 3"]:
-    """Blocks of each hinge for the pairs in `HINGE_PAIRS`; `stiffnesses` is k_e · shape, N·m.
+def hinge_roots(stiffnesses: Float[Array, " H"], gradient: Float[Array, "H 4 3"]) -> Float[Array, "3 4 H"]:
+    """Vectors at the corners of each hinge [xyz, corner, hinge] whose outer products are its tangent blocks.
 
-    The Gauss-Newton matrix without the block between the two opposite vertices, whose product is bounded by doubling
-    their diagonal blocks (2ab ≤ a² + b²). Still positive semi-definite and above Gauss-Newton; the steps to
-    equilibrium stay the same in number, and the system matrix needs half the blocks.
+    They make the Gauss-Newton matrix. Of it, the block between the two opposite corners (2 and 3) is left out, since
+    they share no edge; its product is bounded by doubling their own blocks (2ab ≤ a² + b²). That is still positive
+    semi-definite and above Gauss-Newton; the steps to equilibrium stay the same in number, and the system matrix needs
+    half the blocks.
+
+    Args:
+        stiffnesses: k_e · shape, N·m.
+        gradient: Of the angle, from `dihedral_angles`.
     """
-    root = jnp.sqrt(stiffnesses)[:, None, None] * gradient
-    first, second = np.array(HINGE_PAIRS).T
-    doubled = np.where((first == second) & (first >= 2), 2.0, 1.0).astype(stiffnesses.dtype)
-    return (root[:, first, :, None] * doubled[None, :, None, None]) * root[:, second, None, :]
+    return jnp.sqrt(stiffnesses)[None, None] * gradient.transpose(2, 1, 0)

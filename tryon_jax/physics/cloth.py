@@ -11,16 +11,12 @@ from jaxtyping import Float, Int
 from tryon_jax.checks import check_finite
 from tryon_jax.mesh.topology import components
 from tryon_jax.mesh.topology import hinges as find_hinges
+from tryon_jax.physics.incidence import Incidence, find_incidence
 from tryon_jax.physics.patches import Patches, make_patches
 from tryon_jax.types import ArrayLike, pytree
 
 BUCKET = 512
 """Vertex counts are padded to a multiple of this."""
-MIN_SLOTS = 10
-"""Blocks per row of the system matrix: a vertex and its neighbours, 7 in a regular mesh, up to 10 in those of φ; more
-where a mesh needs them, in pairs."""
-HINGE_PAIRS = tuple((i, j) for i in range(4) for j in range(4) if {i, j} != {2, 3})
-"""Pairs of a hinge's vertices that have a block: all but the two opposite ones, which share no edge (see `bending`)."""
 
 
 @pytree
@@ -44,12 +40,8 @@ class Cloth:
     """A third of the rest area of the adjacent faces, m²; zero for padding."""
     active: Float[ArrayLike, " V"]
     """1 for vertices of the mesh, 0 for padding."""
-    neighbours: Int[ArrayLike, "V K"]
-    """Column of each block of the system matrix's rows; slot 0 is the diagonal."""
-    face_slots: Int[ArrayLike, "F 9"]
-    """Flat slot (row · K + slot) of each face's 3 x 3 blocks."""
-    hinge_slots: Int[ArrayLike, "H 14"]
-    """Flat slot of each hinge's blocks, in the order of `HINGE_PAIRS`."""
+    incidence: Incidence
+    """Which faces and hinges add to each vertex and each block of the system matrix."""
     patches: Patches
     """For the linear solver."""
 
@@ -94,10 +86,10 @@ def build_cloth(
 
     padded_v = -(-num_vertices // bucket) * bucket
     padded_f, padded_h = 2 * padded_v, 3 * padded_v
-    neighbours, face_slots, hinge_slots = _sparsity(np.asarray(faces), hinges, padded_v)
 
-    def fill(array: np.ndarray, size: int, value: float) -> np.ndarray:
-        if len(array) > size:
+    def fill(array: np.ndarray, size: int, value: float, spare: int = 0) -> np.ndarray:
+        # Indices of elements that are not there name the last one: it must be padding.
+        if len(array) + spare > size:
             raise ValueError(f"mesh with {len(array)} entries does not fit its bucket of {size}")
         # A lone triangle has no hinge to repeat.
         row = array[:1] * value if len(array) else np.zeros((1, *array.shape[1:]), array.dtype)
@@ -107,7 +99,7 @@ def build_cloth(
         return jnp.asarray(fill(array, size, 0).astype(kind))
 
     def pad_index(array: np.ndarray, size: int) -> jnp.ndarray:
-        return jnp.asarray(fill(array, size, 1).astype(np.int32))
+        return jnp.asarray(fill(array, size, 1, spare=1).astype(np.int32))
 
     vertex_areas = np.bincount(faces.ravel(), np.repeat(areas / 3, 3), num_vertices)
     return Cloth(
@@ -120,9 +112,7 @@ def build_cloth(
         hinge_grain=pad(grains, padded_h, dtype),
         vertex_areas=pad(vertex_areas, padded_v, dtype),
         active=pad(np.ones(num_vertices), padded_v, dtype),
-        neighbours=jnp.asarray(neighbours),
-        face_slots=pad_index(face_slots, padded_f),
-        hinge_slots=pad_index(hinge_slots, padded_h),
+        incidence=find_incidence(np.asarray(faces), hinges, padded_v, padded_f, padded_h),
         patches=_patches(np.asarray(faces), np.asarray(uv, float), np.asarray(faces_uv), num_vertices, padded_v),
     )
 
@@ -155,32 +145,3 @@ def _hinge_rest(
     lengths = 0.5 * sum(np.linalg.norm(vector, axis=1) for vector in vectors)
     grains = np.stack([np.arctan2(np.abs(vector[:, 1]), np.abs(vector[:, 0])) for vector in vectors], axis=1)
     return np.asarray(lengths), grains
-
-
-def _sparsity(faces: np.ndarray, hinges: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Block rows of the system matrix: padded column lists with the diagonal first, and where each element adds."""
-    corner_pairs = np.array([(i, j) for i in range(3) for j in range(3)])
-    face_pairs = faces[:, corner_pairs].reshape(-1, 2)
-    hinge_pairs = hinges[:, np.array(HINGE_PAIRS)].reshape(-1, 2)
-    diagonal = np.arange(size)
-    rows, columns = np.concatenate([face_pairs, np.stack([diagonal, diagonal], axis=1)]).T
-    # A vertex's own column sorts first: key −1.
-    keys = np.unique(rows.astype(np.int64) * (size + 1) + np.where(rows == columns, -1, columns) + 1)
-    row_of = keys // (size + 1)
-    starts = np.searchsorted(row_of, diagonal)
-    degree = np.diff(np.append(starts, len(keys)))
-    slots = MIN_SLOTS + 2 * max(0, -(-(int(degree.max()) - MIN_SLOTS) // 2))
-    slot = np.arange(len(keys)) - starts[row_of]
-    column = keys % (size + 1) - 1
-    neighbours = np.tile(diagonal[:, None], (1, slots))
-    neighbours[row_of, slot] = np.where(column < 0, row_of, column)
-
-    def flat(pairs: np.ndarray) -> np.ndarray:
-        wanted = pairs[:, 0].astype(np.int64) * (size + 1) + np.where(pairs[:, 0] == pairs[:, 1], -1, pairs[:, 1]) + 1
-        return pairs[:, 0] * slots + slot[np.searchsorted(keys, wanted)]
-
-    return (
-        neighbours.astype(np.int32),
-        flat(face_pairs).reshape(len(faces), 9),
-        flat(hinge_pairs).reshape(len(hinges), len(HINGE_PAIRS)),
-    )

@@ -10,6 +10,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from tryon_jax.physics.block_matrix import BlockMatrix
 from tryon_jax.physics.patches import Patches
 from tryon_jax.types import EXACT, pytree
 
@@ -22,20 +23,21 @@ class CoarseInverse:
     """Patches, and the inverse of the matrix between them."""
 
     patches: Patches
-    inverse: Float[Array, "3 G 3 G"]
+    inverse: Float[Array, "D D"]
+    """D = 3 G: x of all patches, then y, then z. With four axes a CPU would take ten times longer for the product."""
 
 
 def invert_coarse(
-    blocks: Float[Array, "V K 3 3"],
-    neighbours: Int[Array, "V K"],
+    blocks: BlockMatrix,
+    neighbours: Int[Array, "S V"],
     patches: Patches,
     pinned: Bool[Array, " V"] | None = None,
 ) -> CoarseInverse:
     """Galerkin's matrix of the patches' translations, inverted.
 
     Args:
-        blocks: Blocks of the system's matrix, N/m.
-        neighbours: The vertex of each block's column.
+        blocks: The system's matrix, N/m.
+        neighbours: The vertex of each block's column beside the diagonal.
         patches: Which vertices move together.
         pinned: Vertices that do not move: they leave their patches.
     """
@@ -44,21 +46,21 @@ def invert_coarse(
     if pinned is not None:
         patch = jnp.where(pinned, count, patch)
         patches = replace(patches, patch=patch)
-    pairs = patch[:, None] * one_more + patch[neighbours]
-    matrix = jnp.zeros((one_more * one_more, 9), blocks.dtype).at[pairs.reshape(-1)].add(blocks.reshape(-1, 9))
+    own, pairs = patch * one_more + patch, (patch * one_more)[None] + patch[neighbours]
+    matrix = jnp.zeros((one_more * one_more, 9), blocks.diagonal.dtype)
+    matrix = matrix.at[own].add(blocks.diagonal.transpose(2, 0, 1).reshape(-1, 9))
+    matrix = matrix.at[pairs.reshape(-1)].add(blocks.beside.transpose(0, 3, 1, 2).reshape(-1, 9))
     matrix = matrix.reshape(one_more, one_more, 3, 3)[:count, :count].transpose(2, 0, 3, 1).reshape(3 * count, -1)
     diagonal = jnp.diagonal(matrix)
     # A patch without vertices has no row of its own.
     matrix = matrix + jnp.diag(jnp.where(diagonal > 0, RIDGE * diagonal, 1.0))
     inverse = jnp.linalg.inv(matrix)
-    return CoarseInverse(patches, (0.5 * (inverse + inverse.T)).reshape(3, count, 3, count))
+    return CoarseInverse(patches, 0.5 * (inverse + inverse.T))
 
 
 def coarse_correction(coarse: CoarseInverse, residual: Float[Array, "3 V"]) -> Float[Array, "3 V"]:
     """The correction of the residual by translations of the patches."""
-    inverse = coarse.inverse
-    count = inverse.shape[1]
     members, patch = jnp.asarray(coarse.patches.members), jnp.asarray(coarse.patches.patch)
     forces = residual.at[:, members].get(mode="fill", fill_value=0).sum(-1)
-    moves = jnp.matmul(inverse.reshape(3 * count, 3 * count), forces.reshape(-1), precision=EXACT).reshape(3, count)
+    moves = jnp.matmul(coarse.inverse, forces.reshape(-1), precision=EXACT).reshape(forces.shape)
     return moves.at[:, patch].get(mode="fill", fill_value=0)

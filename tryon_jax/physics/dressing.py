@@ -22,7 +22,8 @@ from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.proxy import CollisionBody, build_collision_body
 from tryon_jax.physics.self_contact import SelfContact, SelfPairs, find_pairs
-from tryon_jax.physics.solver import ClothState, SolverSettings, StepReport, resting, solve
+from tryon_jax.physics.solver import StepReport, solve
+from tryon_jax.physics.state import ClothState, SolverSettings, resting
 from tryon_jax.types import Body
 
 Found = TypeVar("Found")

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import GRAVITY
+from tryon_jax.physics.state import GRAVITY
 from tryon_jax.physics.stretch import FLOOR, stiffness
 
 FABRIC_NUMBERS = ("bending length", "warp give", "weft give", "shear give")

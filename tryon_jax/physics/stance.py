@@ -15,7 +15,7 @@ from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, re
 from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.proxy import skinning_weights
 from tryon_jax.physics.self_contact import SelfContact
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 
 STEP = 7.5
 """Degrees between two stances of a descent."""

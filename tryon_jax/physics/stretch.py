@@ -59,27 +59,29 @@ def stiffness_and_slope(
     strain: Float[Array, "F 3"], fabric: Fabric
 ) -> tuple[Float[Array, "F 4"], Float[Array, "F 4 3"]]:
     """k(G) and its derivative with respect to (G00, G11, 2 G01) inside the table's cell."""
-    # The table is over |G01|, half of the third component.
-    shear_sign = jnp.where(strain[:, 2] < 0, -0.5, 0.5)
-    one = jnp.ones_like(shear_sign)
-    sign = jnp.stack([one, one, shear_sign], axis=-1)
-    offset = jnp.array([GRID_LOW, GRID_LOW, 0.0], strain.dtype)[None, :]
-    scaled = jnp.clip((strain * sign - offset) * GRID, 0.0, GRID - 1 - 1e-5)
+    # The table is over |G01|, half of the third component. Faces come last: the table is read along vector registers.
+    half = jnp.where(strain[:, 2] < 0, -0.5, 0.5)
+    sign = jnp.stack([jnp.ones_like(half), jnp.ones_like(half), half])
+    offset = jnp.array([GRID_LOW, GRID_LOW, 0.0], strain.dtype)[:, None]
+    scaled = jnp.clip((strain.T * sign - offset) * GRID, 0.0, GRID - 1 - 1e-5)
     low = scaled.astype(jnp.int32)
     high = scaled - low
-    table = jnp.asarray(fabric.stretch_table, strain.dtype).reshape(-1, 4)
-    base = (low[:, 0] * GRID + low[:, 1]) * GRID + low[:, 2]
-    value = jnp.zeros((len(strain), 4), strain.dtype)
+    table = jnp.asarray(fabric.stretch_table, strain.dtype).reshape(-1, 4).T
+    base = (low[0] * GRID + low[1]) * GRID + low[2]
+    value = jnp.zeros((4, len(strain)), strain.dtype)
     slope = [jnp.zeros_like(value) for _ in range(3)]
     for corner in itertools.product((0, 1), repeat=3):
-        weights = [high[:, a] if c else 1 - high[:, a] for a, c in enumerate(corner)]
-        entry = table[base + ((corner[0] * GRID + corner[1]) * GRID + corner[2])]
-        value = value + (weights[0] * weights[1] * weights[2])[:, None] * entry
+        weights = [high[a] if c else 1 - high[a] for a, c in enumerate(corner)]
+        at = base + ((corner[0] * GRID + corner[1]) * GRID + corner[2])
+        entry = table.at[:, at].get(mode="promise_in_bounds")
+        value = value + (weights[0] * weights[1] * weights[2])[None] * entry
         for axis in range(3):
             others = [w for a, w in enumerate(weights) if a != axis]
             side = 1.0 if corner[axis] else -1.0
-            slope[axis] = slope[axis] + (side * others[0] * others[1])[:, None] * entry
-    return value, jnp.stack(slope, axis=-1) * (GRID * sign)[:, None, :]
+            slope[axis] = slope[axis] + (side * others[0] * others[1])[None] * entry
+    # The barrier keeps the table from being read anew for every number that is made of these.
+    value, slope = jax.lax.optimization_barrier((value, jnp.stack(slope, axis=1)))
+    return value.T, (slope * (GRID * sign)[None]).transpose(2, 0, 1)
 
 
 def _secant_stress(strain: Float[Array, "F 3"], k: Float[Array, "F 4"]) -> Float[Array, "F 3"]:
@@ -159,8 +161,11 @@ def face_gradient(gradients: Float[Array, "F 3 2"], s: Float[Array, "F 3"], clot
 
 def face_hessian(
     gradients: Float[Array, "F 3 2"], strain: Float[Array, "F 3"], s: Float[Array, "F 3"], cloth: Cloth, fabric: Fabric
-) -> Float[Array, "F 3 3 3 3"]:
-    """Positive semi-definite tangent blocks [corner, corner, xyz, xyz] of each face.
+) -> Float[Array, "3 3 3 F"]:
+    """Tangent blocks of each face [xyz, xyz, side, face]: side k couples corner k to the next one.
+
+    The block of the opposite direction is the transpose; the block of a corner with itself is minus the sum of its row
+    (the cloth may be moved as a whole), which makes the tangent positive semi-definite.
 
     The true tangent dS/dG is neither symmetric nor definite; freezing k instead underestimates it and lets the solver
     cycle for ever. Its symmetric part, scaled by the secant's diagonal, is bounded from above by the diagonal of its
@@ -174,40 +179,33 @@ def face_hessian(
         fabric: Material.
     """
     k, slope = stiffness_and_slope(strain, fabric)
-    diagonal = jnp.maximum(jnp.stack([k[:, 0], k[:, 2], 0.5 * k[:, 3]], axis=-1), FLOOR)
-    g0, g1, g2 = strain[:, 0, None], strain[:, 1, None], strain[:, 2, None]
-    zero = jnp.zeros_like(k[:, 0])
-    tangent = jnp.stack(
-        [
-            jnp.stack([k[:, 0], k[:, 1], zero], axis=-1) + slope[:, 0] * g0 + slope[:, 1] * g1,
-            jnp.stack([k[:, 1], k[:, 2], zero], axis=-1) + slope[:, 1] * g0 + slope[:, 2] * g1,
-            jnp.stack([zero, zero, 0.5 * k[:, 3]], axis=-1) + 0.5 * slope[:, 3] * g2,
-        ],
-        axis=1,
-    )
-    tangent = 0.5 * jnp.abs(tangent + tangent.transpose(0, 2, 1))
-    scale = jnp.sqrt(diagonal)
-    stiffening = (tangent / scale[:, :, None] / scale[:, None, :]).sum(-1)
-    majorant = diagonal * jnp.clip(stiffening, 1.0, MAX_STIFFENING)
-
-    b, u, v = cloth.shape_gradients, gradients[..., 0], gradients[..., 1]
+    k, slope, g = k.T, slope.transpose(1, 2, 0), strain.T[:, None]
+    diagonal = jnp.maximum(jnp.stack([k[0], k[2], 0.5 * k[3]]), FLOOR)
+    zero = jnp.zeros_like(k[0])
     rows = (
-        b[:, :, 0, None] * u[:, None, :],
-        b[:, :, 1, None] * v[:, None, :],
-        b[:, :, 0, None] * v[:, None, :] + b[:, :, 1, None] * u[:, None, :],
+        jnp.stack([k[0], k[1], zero]) + slope[0] * g[0] + slope[1] * g[1],
+        jnp.stack([k[1], k[2], zero]) + slope[1] * g[0] + slope[2] * g[1],
+        jnp.stack([zero, zero, 0.5 * k[3]]) + 0.5 * slope[3] * g[2],
     )
-    weights = majorant * cloth.face_areas[:, None]
-    material = sum(
-        weights[:, c, None, None, None, None] * row[:, :, None, :, None] * row[:, None, :, None, :]
-        for c, row in enumerate(rows)
-    )
-    tension = _positive_part(s) * cloth.face_areas[:, None]
-    geometric = (
-        tension[:, 0, None, None] * b[:, :, None, 0] * b[:, None, :, 0]
-        + tension[:, 1, None, None] * b[:, :, None, 1] * b[:, None, :, 1]
-        + tension[:, 2, None, None] * (b[:, :, None, 0] * b[:, None, :, 1] + b[:, :, None, 1] * b[:, None, :, 0])
-    )
-    return material + geometric[..., None, None] * jnp.eye(3, dtype=strain.dtype)[None, None, None]
+    scale = jnp.sqrt(diagonal)
+    tangent = [[0.5 * jnp.abs(rows[i][j] + rows[j][i]) / scale[i] / scale[j] for j in range(3)] for i in range(3)]
+    stiffening = jnp.stack([sum(row) for row in tangent])
+    areas = jnp.asarray(cloth.face_areas)[None]
+    weights = diagonal * jnp.clip(stiffening, 1.0, MAX_STIFFENING) * areas
+    tension = _positive_part(s).T * areas
+
+    b = jnp.asarray(cloth.shape_gradients).transpose(1, 2, 0)[:, :, None]
+    u, v = gradients[..., 0].T, gradients[..., 1].T
+    strains = [(b[c, 0] * u, b[c, 1] * v, b[c, 0] * v + b[c, 1] * u) for c in range(3)]
+    sides = []
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        material = sum(
+            w[None, None] * x[:, None] * y[None] for w, x, y in zip(weights, strains[i], strains[j], strict=True)
+        )
+        geometric = tension[:1] * b[i, 0] * b[j, 0] + tension[1:2] * b[i, 1] * b[j, 1]
+        geometric = geometric + tension[2:] * (b[i, 0] * b[j, 1] + b[i, 1] * b[j, 0])
+        sides.append(material + geometric[None] * jnp.eye(3, dtype=strain.dtype)[:, :, None])
+    return jnp.stack(sides, axis=2)
 
 
 def _positive_part(s: Float[Array, "F 3"]) -> Float[Array, "F 3"]:

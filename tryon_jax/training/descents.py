@@ -21,8 +21,8 @@ from tryon_jax.graph.skinning import garment_skinning
 from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.dressing import Equilibrium, Obstacle, relax, until_diverged
 from tryon_jax.physics.fabrics import load_fabric
-from tryon_jax.physics.solver import SolverSettings
 from tryon_jax.physics.stance import Stance, StanceObstacle, lower_arms
+from tryon_jax.physics.state import SolverSettings
 from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path, save_arrays
 from tryon_jax.training.protocol import make_protocol
 

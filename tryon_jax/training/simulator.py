@@ -22,7 +22,7 @@ from tryon_jax.physics.batch import dress_many, relax_many, sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Diverged, Drape, Equilibrium, Obstacle, dress, relax, sweep, until_diverged
 from tryon_jax.physics.fabrics import Fabric, load_fabric
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 from tryon_jax.training.dataset import (
     STATISTICS,
     guess_path,

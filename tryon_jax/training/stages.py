@@ -21,7 +21,7 @@ from tryon_jax.nets.unet import UNet
 from tryon_jax.physics.bending import bending_energy
 from tryon_jax.physics.cloth import Cloth
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import GRAVITY
+from tryon_jax.physics.state import GRAVITY
 from tryon_jax.physics.stretch import stretch_energy
 from tryon_jax.training.garments import SimulatedGarment, training_shapes
 from tryon_jax.tryon import (

@@ -16,8 +16,9 @@ from tryon_jax.metrics.strain import edge_strain
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, closing, dress, follow, start_state
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import SolverSettings, StepReport
+from tryon_jax.physics.solver import StepReport
 from tryon_jax.physics.stance import StanceObstacle, lower_arms
+from tryon_jax.physics.state import SolverSettings
 from tryon_jax.types import Body
 
 PIECE = 20

@@ -19,7 +19,7 @@ from tryon_jax.physics.bending import bending_energy
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, sweep
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import GRAVITY, ClothState, SolverSettings
+from tryon_jax.physics.state import GRAVITY, ClothState, SolverSettings
 from tryon_jax.physics.stretch import stretch_energy
 
 

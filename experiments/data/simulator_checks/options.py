@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 from experiments.shared.record import RESULTS
 from tryon_jax.physics.fabrics import fabric_names
-from tryon_jax.physics.solver import SolverSettings
+from tryon_jax.physics.state import SolverSettings
 
 STATIC = SolverSettings(retention=0.9)
 """Steps to equilibrium: velocities are damped by a tenth per step."""

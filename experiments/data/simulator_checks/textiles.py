@@ -15,7 +15,7 @@ from measuring.textiles import Result, disc, linear_fabric, pedestal, sample_fab
 from tryon_jax.physics.bending import CURVATURE_STEP, dihedral_angles, hinge_stiffness
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.physics.fabrics import Fabric
-from tryon_jax.physics.solver import GRAVITY, SolverSettings
+from tryon_jax.physics.state import GRAVITY, SolverSettings
 from tryon_jax.physics.stretch import stiffness, stress, stretch_energy
 
 MOST_STEPS = 1500
