@@ -22,7 +22,6 @@ def conjugate_gradients(
     max_iterations: Int[Array, ""],
     coarse: CoarseInverse | None = None,
     pinned: Bool[Array, " V"] | None = None,
-    guess: Float[Array, "V 3"] | None = None,
 ) -> tuple[Float[Array, "V 3"], Int[Array, ""]]:
     """Solve for a symmetric positive definite matrix to a relative residual in the norm of the inverse diagonal blocks.
 
@@ -38,7 +37,6 @@ def conjugate_gradients(
         coarse: of this matrix or one much like it, made with the same `pinned`; without it the preconditioner is the
             diagonal blocks.
         pinned: rows whose solution is zero, whatever their right-hand side.
-        guess: where to start; zero when None. The residual to stop at does not depend on it.
 
     Returns:
         the solution and the number of iterations taken.
@@ -68,11 +66,6 @@ def conjugate_gradients(
 
     z, start, size = precondition(right)
     goal = tolerance * tolerance * size
-    solution = jnp.zeros_like(right)
-    if guess is not None:
-        solution = project(guess.T)
-        right = right - project(multiply(matrix, neighbours, solution))
-        z, start, size = precondition(right)
 
     def running(carry):
         iteration, _, _, _, _, size = carry
@@ -87,6 +80,6 @@ def conjugate_gradients(
         return iteration + 1, y, r, z + (new / rz) * p, new, size
 
     zero = jnp.zeros((), max_iterations.dtype)
-    carry = (zero, solution, right, z, start, size)
+    carry = (zero, jnp.zeros_like(right), right, z, start, size)
     iterations, solution, *_ = jax.lax.while_loop(running, iterate, carry)
     return solution.T, iterations

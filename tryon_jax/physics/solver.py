@@ -97,8 +97,6 @@ def _advance(
 ) -> tuple[ClothState, Float[Array, ""], Int[Array, ""]]:
     """The state after a step, the root mean square motion (metres), and the linear solver's iterations."""
     dtype = state.x.dtype
-    # Cloth that comes to rest moves on much as it did. Layers that touch do not: see `solve`.
-    guess = None if coarse is None else state.velocity * (settings.retention * settings.time_step)
     move, iterations = conjugate_gradients(
         system.matrix,
         jnp.asarray(cloth.incidence.neighbours),
@@ -107,7 +105,6 @@ def _advance(
         jnp.asarray(settings.linear_iterations, jnp.int32),
         coarse,
         pinned,
-        guess,
     )
     length = jnp.sqrt((move * move).sum(-1) + 1e-20)
     move = move * jnp.minimum(1.0, settings.max_move / length)[:, None]
@@ -156,8 +153,7 @@ def solve(
 ) -> tuple[ClothState, StepReport]:
     """Step until the residual is below `tolerance` or `max_steps` are done; jittable, nothing is unrolled.
 
-    The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps. The linear solver starts from the
-    share of the last move that the step retains.
+    The coarse half of the preconditioner is made anew every `COARSE_STEPS` steps.
     `surface_motion` applies to the first step only, which is always done: the body has moved once.
 
     Args:

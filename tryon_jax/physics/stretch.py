@@ -79,9 +79,7 @@ def stiffness_and_slope(
             others = [w for a, w in enumerate(weights) if a != axis]
             side = 1.0 if corner[axis] else -1.0
             slope[axis] = slope[axis] + (side * others[0] * others[1])[None] * entry
-    # The barrier keeps the table from being read anew for every number that is made of these.
-    value, slope = jax.lax.optimization_barrier((value, jnp.stack(slope, axis=1)))
-    return value.T, (slope * (GRID * sign)[None]).transpose(2, 0, 1)
+    return value.T, (jnp.stack(slope, axis=1) * (GRID * sign)[None]).transpose(2, 0, 1)
 
 
 def _secant_stress(strain: Float[Array, "F 3"], k: Float[Array, "F 4"]) -> Float[Array, "F 3"]:

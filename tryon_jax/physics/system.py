@@ -38,12 +38,12 @@ class System:
 
 
 def nothing(state: ClothState, cloth: Cloth) -> System:
-    """A system without forces, whose matrix is the identity."""
+    """A system of zeros."""
     vectors = jnp.zeros_like(state.x)
     slots, count = cloth.incidence.neighbours.shape
     blocks = jnp.zeros((slots, 3, 3, count), vectors.dtype)
     return System(
-        matrix=BlockMatrix(blocks[0] + jnp.eye(3, dtype=vectors.dtype)[:, :, None], blocks),
+        matrix=BlockMatrix(blocks[0], blocks),
         right=vectors,
         gradient=vectors,
         load=vectors[:, 0],
