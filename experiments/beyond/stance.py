@@ -164,8 +164,8 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         f"{results['descents']} descents of the arms, from refined drapes in T-pose; "
         f"{len(unsettled)} more found no rest and were refused{': ' if unsettled else ''}{'; '.join(unsettled)}. "
         "*Skinned*: the T-pose drape moved "
-        "with the nearest skin, as `--pose` does. *Simulated*: `--refine --arms`. Inside: share of the cloth inside the "
-        "posed body, before any push-out. Crossed: share of triangles that pass through others.",
+        "with the nearest skin, as `--pose` does. *Simulated*: `--refine --arms`. Inside: share of the cloth inside "
+        "the posed body, before any push-out. Crossed: share of triangles that pass through others.",
         "",
         "| arms below the horizontal | skinned from simulated, mm | inside, skinned · simulated, % | "
         "crossed, skinned · simulated, % | at rest | processor time, s |",
