@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
@@ -22,6 +23,8 @@ from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon.garment import CarriedMesh, Garment
 from tryon_jax.tryon.model import TryOnModel, config_space
 
+# One small program: op by op, JAX compiles each by itself.
+_apply_mean_drape = jax.jit(apply_mean_drape)
 # A user's mesh is taken as it is when its mean triangle area is within this factor of what the networks know.
 _DENSITY_RANGE = 1.6
 # Half of the vertices of the widest simulated dress are within 0.03 m of the closest body vertex.
@@ -118,7 +121,7 @@ def prepare_mesh(
 def _mean_vertices(model: TryOnModel, mesh: GarmentMesh) -> Float[np.ndarray, "V 3"]:
     """M̄ = W · R_mean(p), metres."""
     design = jnp.asarray(mesh.design.values, jnp.float32)
-    return place_on_template(mesh, np.asarray(apply_mean_drape(model.mean, design)))
+    return place_on_template(mesh, np.asarray(_apply_mean_drape(model.mean, design)))
 
 
 def _is_known(area: float, trained: float) -> bool:
