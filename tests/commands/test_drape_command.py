@@ -8,7 +8,7 @@ import trimesh
 
 from tests.flat_model import flat_model
 from tests.tryon.test_drape_fields import make_model
-from tests.tryon.test_stance import with_stance
+from tests.tryon.test_learned_stance import with_stance
 from tryon_jax.body import load_body
 from tryon_jax.cli import main
 from tryon_jax.commands import _answer

@@ -127,7 +127,9 @@ def test_the_collision_step_may_replay_simulated_drapes(dataset, run, tmp_path, 
     before, after = load_model(model_path(run)), load_model(model_path(tmp_path))
     sets, _ = load_fine_sets(before, dataset, FABRIC, StageOptions())
     predictor = Predictor(before.config, "fine")
-    errors = [validation_error(predictor, m.fine[FABRIC], sets) for m in (before, after)]
+    # Of the drapes that were replayed: on others forty steps may go either way.
+    seen = [replace(s, validation=s.train) for s in sets]
+    errors = [validation_error(predictor, m.fine[FABRIC], seen) for m in (before, after)]
     assert errors[1] < errors[0]
     # R_fine trained once more has not been through a collision step.
     fit_fine(dataset, tmp_path, [FABRIC], StageOptions(LoopOptions(steps=2, evaluate_every=2), garments=1, shapes=4))

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.belt import snug_belt
 from tests.flat_model import flat_model
-from tests.tryon.test_stance import with_stance
+from tests.tryon.test_learned_stance import with_stance
 from tryon_jax.body import load_body
 from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.render.fit_maps import MAPS, map_colors

@@ -7,7 +7,7 @@ import pytest
 
 import tryon_jax as tj
 from tests.flat_model import flat_model
-from tests.tryon.test_stance import with_stance
+from tests.tryon.test_learned_stance import with_stance
 from tryon_jax.body.stance import arms_pose
 from tryon_jax.wear.posing import pose_dressed
 from tryon_jax.wear.simulate import Simulated, Simulator

@@ -121,7 +121,13 @@ def assemble(
 
 
 def residual(system: System, cloth: Cloth, pinned: Bool[Array, " V"] | None) -> Float[Array, ""]:
-    """Norm of the net force on all free vertices over the norm of their weights plus contact loads."""
+    """Norm of the net force on all free vertices over the norm of their weights plus contact loads.
+
+    Args:
+        system: Of the state.
+        cloth: Rest state.
+        pinned: Vertices that stay where they are; None leaves all free.
+    """
     free = (cloth.active if pinned is None else jnp.where(pinned, 0.0, cloth.active))[:, None]
     scale = jnp.linalg.norm(system.weight) + jnp.linalg.norm(system.load)
     return jnp.linalg.norm(system.gradient * free) / scale

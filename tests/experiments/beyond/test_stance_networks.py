@@ -17,7 +17,7 @@ from experiments.beyond.stance_networks import (
     spread,
 )
 from tests.experiments.known_data import BETAS, FABRICS, GARMENTS, known_model, write_known
-from tests.tryon.test_stance import with_stance
+from tests.tryon.test_learned_stance import with_stance
 from tryon_jax.body.pose import skinning_motion
 from tryon_jax.body.stance import arms_pose
 from tryon_jax.garment import load_manifest
