@@ -128,7 +128,8 @@ def load_store(path: str | Path, expected: Mapping[str, Any], any_precision: boo
     if faults:
         raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(sorted(faults)[:8]))
     # One transfer of all: `jnp.asarray` compiles a program for each shape.
-    return jax.device_put({name: arrays[name] for name in expected})
+    names = list(expected)
+    return dict(zip(names, jax.device_put([arrays[name] for name in names]), strict=True))
 
 
 def load_tree(path: str | Path, build: Callable[[], Tree]) -> Tree:
