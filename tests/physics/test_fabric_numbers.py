@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tryon_jax.physics.fabric_numbers import FABRIC_NUMBERS, fabric_numbers
+from tryon_jax.physics.fabric_numbers import FABRIC_NUMBERS, _compiled, fabric_numbers, host_fabric_numbers
 from tryon_jax.physics.fabrics import Fabric, fabric_names, load_fabric
 
 GRAVITY = 9.81
@@ -60,3 +60,10 @@ def test_gradients_to_the_tables_are_those_of_finite_differences(x64: None) -> N
         np.testing.assert_allclose(jacobian[:, k], difference, atol=1e-7)
     # log (B / ρg)^(1/3), and log (ρg / k) three times.
     np.testing.assert_allclose(jacobian, [[-1 / 3, 0, 1 / 3], [1, -1, 0], [1, -1, 0], [1, -1, 0]], atol=1e-7)
+
+
+def test_numbers_on_the_host_are_the_same_and_compile_once_for_all_fabrics() -> None:
+    for name in fabric_names():
+        fabric = load_fabric(name)
+        np.testing.assert_allclose(host_fabric_numbers(fabric), fabric_numbers(fabric), rtol=1e-6)
+    assert _compiled._cache_size() == 1

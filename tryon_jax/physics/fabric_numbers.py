@@ -1,6 +1,8 @@
 """The few numbers of a fabric that its drape hangs on: what the networks see of it."""
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from tryon_jax.physics.fabrics import Fabric
@@ -32,3 +34,16 @@ def fabric_numbers(fabric: Fabric) -> Float[Array, "4"]:
     axial = jnp.diagonal(stiffness(strains, fabric)[:, jnp.array([0, 2, 3])])
     bending = jnp.asarray(fabric.bending).mean()
     return jnp.concatenate([jnp.log(bending / weight)[None] / 3.0, jnp.log(weight / jnp.maximum(axial, FLOOR))])
+
+
+# One small program for all fabrics: op by op, JAX compiles each by itself.
+_compiled = jax.jit(fabric_numbers)
+
+
+def host_fabric_numbers(fabric: Fabric) -> Float[np.ndarray, "4"]:
+    """`fabric_numbers` as a NumPy array, compiled once; host side.
+
+    Args:
+        fabric: The cloth.
+    """
+    return np.asarray(_compiled(fabric.unnamed))

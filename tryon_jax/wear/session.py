@@ -15,7 +15,7 @@ from jaxtyping import Float
 from tryon_jax.checks import check_choice
 from tryon_jax.contact.push_out import CLEARANCE, push_out
 from tryon_jax.mesh.stretch_limit import limit_stretch
-from tryon_jax.physics.fabric_numbers import fabric_numbers
+from tryon_jax.physics.fabric_numbers import host_fabric_numbers
 from tryon_jax.physics.fabrics import fabric_names, is_fabric_file, known_fabric, load_fabric
 from tryon_jax.tryon import DrapeFields, TryOnModel, drape_fields, drape_stages, field_stages, load_pretrained
 from tryon_jax.types import ArrayLike, Body
@@ -180,7 +180,7 @@ class Session(SessionGarments):
         if count > 1:
             betas = np.concatenate([betas, np.broadcast_to(betas[:1], (TOGETHER - count, betas.shape[1]))])
         if self.model.config.conditioning == "fields":
-            numbers = None if fabric in self.model.config.fabrics else np.asarray(fabric_numbers(load_fabric(fabric)))
+            numbers = None if fabric in self.model.config.fabrics else host_fabric_numbers(load_fabric(fabric))
 
             def make() -> DrapeFields:
                 if numbers is None:

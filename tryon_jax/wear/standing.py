@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from tryon_jax.body.pose import pose_body
 from tryon_jax.body.stance import arms_pose
-from tryon_jax.physics.fabric_numbers import fabric_numbers
+from tryon_jax.physics.fabric_numbers import host_fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.tryon.stance import StanceFields, stance_fields, stand
@@ -53,7 +53,7 @@ class Standing:
             ValueError: The model has no R_stance, or an angle out of range.
         """
         garment, body = dressed.garment.garment, self._model.body
-        numbers = np.asarray(fabric_numbers(load_fabric(dressed.fabric)))
+        numbers = host_fabric_numbers(load_fabric(dressed.fabric))
         fields = self._fields.get(
             (dressed.garment, numbers.tobytes()), lambda: self._make_fields(self._model, garment, numbers)
         )
