@@ -30,6 +30,7 @@ from tryon_jax.training.dataset import default_root
 from tryon_jax.training.descents import Descent, descent_files, load_descents
 from tryon_jax.training.drapes import load_mesh
 from tryon_jax.training.garments import prepare_simulated
+from tryon_jax.training.plan import split_name
 from tryon_jax.training.stance_network import HELD_OUT, carry_back
 from tryon_jax.tryon import Garment, TryOnModel, drape, load_model, load_pretrained
 from tryon_jax.tryon.model_file import STANCE, pretrained_path
@@ -85,9 +86,10 @@ def main(config: Config) -> None:
         cases += load_cases(model, config.fabric_data, manifest)
     neighbours = StanceNeighbours(model, config.data, manifest)
     rows = [row for case in tqdm(cases, desc="descents", mininterval=2) for row in measure(model, case, neighbours)]
+    assert model.stance is not None
     results = {
         "rows": rows,
-        "trained": list(_network(model).config.shared_fabrics),
+        "trained": list(model.stance.config.shared_fabrics),
         "cases": len(cases),
         "spread": spread(config.data, cases),
     }
@@ -106,8 +108,7 @@ def load_cases(model: TryOnModel, root: Path, manifest: Manifest) -> list[Case]:
     found = []
     pairs = sorted({tuple(path.stem.split("_")[:2]) for path in descent_files(root)})
     for name, fabric in pairs:
-        label, seed = name.rsplit("-", 1)
-        if manifest.split(label, int(seed)) == "training":
+        if manifest.split(*split_name(name)) == "training":
             continue
         garment = prepare_simulated(model, root, name)
         skinning = garment_skinning(garment.mean_vertices, garment.faces, model.body)
@@ -124,7 +125,7 @@ def spread(root: Path, cases: Sequence[Case]) -> dict[str, dict[str, float]]:
     """
     found: dict[str, dict[str, list[float]]] = {}
     for case in cases:
-        label = case.name.rsplit("-", 1)[0]
+        label, _ = split_name(case.name)
         others = [d for d in load_descents(root, f"{label}-0", case.fabric) if not d.betas.any()]
         if case.name == f"{label}-0" or case.descent.betas.any() or not others:
             continue
@@ -152,8 +153,7 @@ class StanceNeighbours:
         self._extent = np.array(model.config.beta_ranges)
         self._known: dict[str, list[tuple[np.ndarray, list[tuple[np.ndarray, dict[float, np.ndarray]]]]]] = {}
         for name, fabric in sorted({tuple(path.stem.split("_")[:2]) for path in descent_files(root)}):
-            label, seed = name.rsplit("-", 1)
-            if manifest.split(label, int(seed)) != "training":
+            if manifest.split(*split_name(name)) != "training":
                 continue
             garment = prepare_simulated(model, root, name)
             skinning = garment_skinning(garment.mean_vertices, garment.faces, model.body)
@@ -346,15 +346,10 @@ def _groups(trained: set[str]) -> dict[str, Callable[[Mapping[str, Any]], bool]]
     unseen = {design.label for design in load_manifest().unseen}
 
     def new_design(row: Mapping[str, Any]) -> bool:
-        return row["garment"].rsplit("-", 1)[0] in unseen
+        return split_name(row["garment"])[0] in unseen
 
     return {
         "unseen designs on test bodies": lambda row: new_design(row) and row["fabric"] in trained,
         "the same in fabrics not trained on": lambda row: new_design(row) and row["fabric"] not in trained,
         "unseen topologies of a trained design on the mean body": lambda row: not new_design(row),
     }
-
-
-def _network(model: TryOnModel) -> Any:
-    assert model.stance is not None
-    return model.stance

@@ -4,23 +4,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from experiments.train.curves import draw_curve
+from experiments.train.train_fabrics import HELD_OUT
 from tryon_jax.checks import check_range
 from tryon_jax.nets.store import read_record
+from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.recipes import StageOptions
 from tryon_jax.training.stance_network import StanceOptions, fit_stance
-
-FABRICS = (
-    "gray-interlock",
-    "white-dots-on-blk",
-    "11oz-black-denim",
-    "camel-ponte-roma",
-    "navy-sparkle-sweat",
-    "pink-ribbon-brown",
-    "royal-target",
-    "white-swim-solid",
-)
-"""All but the two that are held out (see `train_fabrics`)."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +25,8 @@ class Config:
     """Model that it is for."""
     run: Path = Path("runs/stance")
     """Folder of the run; the result is stance.safetensors in it."""
-    fabrics: tuple[str, ...] = FABRICS
-    """Fabrics that are trained on."""
+    held_out: tuple[str, ...] = HELD_OUT
+    """Fabrics that are not trained on."""
     functions: int = 3
     """Fabric functions."""
     fields: int = 16
@@ -48,10 +38,11 @@ class Config:
 def main(config: Config) -> None:
     """Train it; what is done already takes no time."""
     check_range("steps", config.steps, 1, 10_000_000)
+    fabrics = tuple(name for name in fabric_names() if name not in config.held_out)
     default = StageOptions()
     loop = replace(default.loop, steps=config.steps, evaluate_every=min(500, config.steps))
     stage = replace(default, loop=loop)
-    options = StanceOptions(config.fabrics, config.functions, config.fields, stage=stage)
+    options = StanceOptions(fabrics, config.functions, config.fields, stage=stage)
     fit_stance(config.data, config.start, config.run, options)
     draw_curve(config.run / "stance", "validation error, mm")
     record = read_record(config.run / "stance.safetensors")["training"]["stance"]

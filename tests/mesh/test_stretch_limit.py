@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tryon_jax.mesh.quality import edge_lengths
-from tryon_jax.mesh.stretch_limit import limit_stretch, pattern_lengths, rest_edges
+from tryon_jax.mesh.stretch_limit import limit_stretch, rest_edges, rest_lengths
 
 SIDE = 12
 
@@ -23,7 +23,6 @@ def test_what_is_not_stretched_is_returned_as_it_is() -> None:
     edges, rest = rest_edges(faces, edge_lengths(points, faces), len(points))
     assert len(edges) == 3 * SIDE**2 - 4 * SIDE + 1
     np.testing.assert_allclose(rest, np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1))
-    assert limit_stretch(1.3 * points, edges, rest, 1.35) is not None
     stretched = 1.3 * points
     assert limit_stretch(stretched, edges, rest, 1.35) is stretched
 
@@ -58,7 +57,7 @@ def test_a_turned_mesh_gives_a_turned_result() -> None:
 def test_edges_are_measured_against_the_longer_of_pattern_and_mean_drape() -> None:
     points, faces = sheet()
     uv = points[:, :2]
-    lengths = pattern_lengths(faces, uv, faces, points * [2.0, 0.5, 1.0])
+    lengths = rest_lengths(faces, uv, faces, points * [2.0, 0.5, 1.0])
     along, across = edge_lengths(points * [2.0, 0.5, 1.0], faces), edge_lengths(uv, faces)
     np.testing.assert_allclose(lengths, np.maximum(along, across))
     one = np.array([[0, 1, 2], [1, 0, 3]])

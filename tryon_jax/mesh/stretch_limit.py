@@ -74,7 +74,7 @@ def _too_long(points: np.ndarray, a: np.ndarray, b: np.ndarray, allowed: np.ndar
     return (apart * apart).sum(axis=1) > allowed * allowed
 
 
-def pattern_lengths(
+def rest_lengths(
     faces: Int[np.ndarray, "F 3"],
     uv: Float[np.ndarray, "U 2"],
     faces_uv: Int[np.ndarray, "F 3"],

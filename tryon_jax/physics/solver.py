@@ -19,7 +19,7 @@ from tryon_jax.physics.fabrics import Fabric
 from tryon_jax.physics.linear import conjugate_gradients
 from tryon_jax.physics.self_contact import SelfPairs
 from tryon_jax.physics.state import ClothState, SolverSettings
-from tryon_jax.physics.system import System, assemble, nothing, residual
+from tryon_jax.physics.system import System, assemble, residual, still_system
 from tryon_jax.types import Scalar, pytree
 
 COARSE_STEPS = 10
@@ -208,5 +208,5 @@ def solve(
 
     unknown, none = jnp.asarray(jnp.inf, state.x.dtype), jnp.zeros((), jnp.int32)
     start = StepReport(unknown, unknown, unknown, none - 1, none)
-    progress = jax.lax.while_loop(running, some_steps, _Progress(state, start, nothing(state, cloth)))
+    progress = jax.lax.while_loop(running, some_steps, _Progress(state, start, still_system(state, cloth)))
     return progress.state, progress.report

@@ -37,13 +37,13 @@ class System:
     """Deepest contact sample below the skin, metres."""
 
 
-def nothing(state: ClothState, cloth: Cloth) -> System:
-    """A system of zeros."""
+def still_system(state: ClothState, cloth: Cloth) -> System:
+    """A system that moves nothing."""
     vectors = jnp.zeros_like(state.x)
     slots, count = cloth.incidence.neighbours.shape
     blocks = jnp.zeros((slots, 3, 3, count), vectors.dtype)
     return System(
-        matrix=BlockMatrix(blocks[0], blocks),
+        matrix=BlockMatrix(jnp.zeros_like(blocks[0]) + jnp.eye(3, dtype=vectors.dtype)[:, :, None], blocks),
         right=vectors,
         gradient=vectors,
         load=vectors[:, 0],

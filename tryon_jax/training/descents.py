@@ -24,6 +24,7 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stance import Stance, StanceObstacle, lower_arms
 from tryon_jax.physics.state import SolverSettings
 from tryon_jax.training.dataset import MAX_RESIDUAL, is_good, load_arrays, mean_path, mesh_path, save_arrays
+from tryon_jax.training.plan import split_name
 from tryon_jax.training.protocol import make_protocol
 
 STEPS = 200
@@ -86,8 +87,7 @@ def plan_descents(
     order = {ray: k for k, ray in enumerate(make_protocol(2).order)}
     listed: list[list[DescentTask]] = [[] for _ in range(bodies)]
     for garment in garments:
-        label, seed = garment.rsplit("-", 1)
-        wanted = manifest.split(label, int(seed)) != "training"
+        wanted = manifest.split(*split_name(garment)) != "training"
         for fabric in fabrics:
             if not (mean := mean_path(root, garment, fabric)).exists():
                 continue

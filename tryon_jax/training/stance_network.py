@@ -27,6 +27,7 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.all_fabrics import principal_fabrics
 from tryon_jax.training.descents import Descent, descent_files, load_descents
 from tryon_jax.training.garments import prepare_simulated
+from tryon_jax.training.plan import split_name
 from tryon_jax.training.recipes import StageOptions, fit_stage
 from tryon_jax.training.stages import StageSet
 from tryon_jax.tryon import Garment, TryOnModel, load_model
@@ -96,7 +97,7 @@ def stance_sets(model: TryOnModel, root: Path, manifest: Manifest, fabrics: Sequ
     """
     sets = []
     names = sorted({path.name.split("_")[0] for path in descent_files(root)})
-    names = [name for name in names if manifest.split(*_split(name)) == "training"]
+    names = [name for name in names if manifest.split(*split_name(name)) == "training"]
     for name in tqdm(names, desc="descents", mininterval=2):
         garment = prepare_simulated(model, root, name)
         found = {fabric: load_descents(root, name, fabric) for fabric in fabrics}
@@ -128,7 +129,7 @@ def stance_set(
             targets.append(carry_back(body, descent.betas, float(degrees), vertices, skinning))
             known.append(at_rest and not descent.test and degrees != HELD_OUT)
     table = np.array(codes, np.float32)
-    fitted, chooses = np.array(known), _split(name)[0] in manifest.validation
+    fitted, chooses = np.array(known), split_name(name)[0] in manifest.validation
     train, validation = (np.zeros_like(fitted), fitted) if chooses else (fitted, np.zeros_like(fitted))
     size = garment.graph.num_nodes
     return StageSet(
@@ -184,11 +185,6 @@ def _in_all_fabrics(sets: Sequence[StageSet], fabrics: Sequence[str]) -> dict[st
 def _padded(rows: Sequence[np.ndarray], size: int) -> Float[np.ndarray, "S N 3"]:
     stacked = np.asarray(rows, np.float32)
     return np.pad(stacked, ((0, 0), (0, size - stacked.shape[1]), (0, 0)))
-
-
-def _split(name: str) -> tuple[str, int]:
-    label, seed = name.rsplit("-", 1)
-    return label, int(seed)
 
 
 def _checksum(roots: Sequence[Path]) -> str:

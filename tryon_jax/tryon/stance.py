@@ -55,7 +55,7 @@ def stance_fields(
     Args:
         model: With R_stance, as `load_pretrained` gives it.
         garment: From `prepare`.
-        fabric: One that R_stance was trained on by name, by default the first; or the numbers of any fabric, as
+        fabric: One that R_stance was trained on by name, by default the model's first; or the numbers of any fabric, as
             `fabric_numbers` gives them.
         design: Design parameters in place of the garment's, metres.
 
@@ -64,6 +64,7 @@ def stance_fields(
     """
     if model.stance is None:
         raise ValueError("this model has no R_stance: its arms are lowered by simulation")
+    fabric = model.config.known_fabrics[0] if fabric is None else fabric
     config, stage = model.stance.config, _for_fabric(model.stance, fabric)
     garment = with_design(model, garment, design)
     _, detail = base_and_detail(config, garment)
@@ -118,10 +119,10 @@ def stance_code(betas: Float[Array, "B b"], degrees: Float[Array, " B"]) -> Floa
     return jnp.concatenate([betas, STANCE_EXTENT / LOWEST * degrees[:, None]], axis=1)
 
 
-def _for_fabric(network: StanceNetwork, fabric: str | Float[ArrayLike, " F"] | None) -> Stage:
+def _for_fabric(network: StanceNetwork, fabric: str | Float[ArrayLike, " F"]) -> Stage:
     stage, config = network.stage, network.config
     assert stage.fabrics is not None
-    if not isinstance(fabric, str | None):
+    if not isinstance(fabric, str):
         return of_fabric(stage, fabric)
-    name = check_choice("fabric", fabric or config.shared_fabrics[0], config.shared_fabrics)
+    name = check_choice("fabric", fabric, config.shared_fabrics)
     return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.shared_fabrics.index(name)])

@@ -17,7 +17,9 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.contact.push_out import PushedOut
 from tryon_jax.mesh.intersections import self_intersecting_faces
-from tryon_jax.metrics.strain import area_strain, edge_strain
+from tryon_jax.mesh.quality import edge_lengths
+from tryon_jax.mesh.stretch_limit import rest_lengths
+from tryon_jax.metrics.strain import area_strain
 from tryon_jax.types import Body
 
 Outcome = Literal["fine", "warning", "refused"]
@@ -188,9 +190,8 @@ def _edges(
     mean: np.ndarray | None,
     places: "_Places",
 ) -> Finding | None:
-    ratio = edge_strain(vertices, faces, uv, faces_uv) + 1.0
-    if mean is not None:
-        ratio = np.minimum(ratio, edge_strain(vertices, faces, mean, faces) + 1.0)
+    rest = edge_lengths(uv, faces_uv) if mean is None else rest_lengths(faces, uv, faces_uv, mean)
+    ratio = edge_lengths(vertices, faces) / rest
     long: Bool[np.ndarray, "F 3"] = ratio > LIMITS["edge"].warn
     ends = np.unique(np.concatenate([faces[long], np.roll(faces, -1, axis=1)[long]]))
     return _found("edge", float(ratio.max()), places.name(vertices[ends]))

@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 
 from tryon_jax.garment import Design, GarmentMesh, placement
 from tryon_jax.mesh.repair import LoadedGarment
-from tryon_jax.mesh.stretch_limit import pattern_lengths, rest_edges
+from tryon_jax.mesh.stretch_limit import rest_edges, rest_lengths
 from tryon_jax.tryon import Garment, TryOnModel, prepare, prepare_mesh
 from tryon_jax.wear.fit import pattern_of
 from tryon_jax.wear.own import OwnGarment
@@ -48,7 +48,7 @@ class PreparedGarment:
     def rest_edges(self) -> tuple[Int[np.ndarray, "E 2"], Float[np.ndarray, " E"]]:
         """Edges, and the length that each is measured against, metres: see `mesh.stretch_limit`."""
         mean = self.garment.mean_vertices
-        return rest_edges(self.faces, pattern_lengths(self.faces, self.uv, self.faces_uv, mean), len(mean))
+        return rest_edges(self.faces, rest_lengths(self.faces, self.uv, self.faces_uv, mean), len(mean))
 
     def start(self) -> Float[np.ndarray, "V 3"]:
         """Where a simulation begins, metres: flat panels round the body, or the user's mesh on the mean body."""

@@ -1,11 +1,12 @@
 """R_stance as a session uses it: compiled once for a size of garment, its fields kept for the last garments."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from tryon_jax.body.pose import pose_body
-from tryon_jax.body.stance import arms_pose
+from tryon_jax.body.stance import arms_turns
 from tryon_jax.physics.fabric_numbers import host_fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.tryon import TryOnModel
@@ -24,9 +25,9 @@ def _cloth_and_skin(
     degrees: Float[ArrayLike, ""],
     vertices: Float[ArrayLike, "M 3"],
     skinning: Float[ArrayLike, "M J"],
-    pose: Float[ArrayLike, "J 3"],
 ) -> tuple[Float[Array, "M 3"], Float[Array, "B 3"]]:
     """Both in one program: two would take longer to compile."""
+    pose = jnp.deg2rad(degrees) * jnp.asarray(arms_turns(body), jnp.asarray(vertices).dtype)
     return stand(fields, body, betas, degrees, vertices, skinning), pose_body(body, betas, pose)[0]
 
 
@@ -46,11 +47,11 @@ class Standing:
 
         Args:
             dressed: In T-pose, on the networks' body.
-            degrees: Of the arms below the horizontal.
+            degrees: Of the arms below the horizontal, within the range of `arms_pose`.
             skinning: Skinning weights of the garment.
 
         Raises:
-            ValueError: The model has no R_stance, or an angle out of range.
+            ValueError: The model has no R_stance.
         """
         garment, body = dressed.garment.garment, self._model.body
         numbers = host_fabric_numbers(load_fabric(dressed.fabric))
@@ -62,6 +63,6 @@ class Standing:
         vertices, weights = (
             np.pad(np.asarray(a, np.float32), ((0, rows - len(a)), (0, 0))) for a in (dressed.vertices, skinning)
         )
-        betas, pose = np.asarray(dressed.body.betas, np.float32), arms_pose(body, degrees).astype(np.float32)
-        standing, skin = self._stand(fields, body, betas, np.float32(degrees), vertices, weights, pose)
+        betas = np.asarray(dressed.body.betas, np.float32)
+        standing, skin = self._stand(fields, body, betas, np.float32(degrees), vertices, weights)
         return np.asarray(standing)[: len(dressed.vertices)], np.asarray(skin)
