@@ -29,7 +29,7 @@ class Config:
     rays: int = 25
     """Rays of body shapes (at most 25 with two betas, 2 with one); the first ones cover all directions evenly.
     Additional designs need no more than eight, each its own."""
-    designs: int = 300
+    designs: int = 600
     """With `--part additional`: how many of them."""
     part: Literal["training", "additional", "unseen", "topologies"] = "training"
     """training: the 19 training designs in both topologies; additional: further training designs in one; unseen: the

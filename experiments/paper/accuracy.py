@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -23,12 +24,14 @@ from experiments.shared.evaluate import (
     rows_with,
     spread,
 )
+from experiments.shared.kriging import KrigedGarments
 from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
 from experiments.shared.record import RESULTS, publish, read_result
 from tryon_jax.contact.skin import Skin
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
@@ -41,6 +44,7 @@ ROWS = {
     "transfer": "M̄ moved with the nearest body vertex",
     "neighbours": "nearest training garments (kNN), no learning",
     "neighbours, design": "the same with the design in the key",
+    "kriging": "training drapes kriged over designs and body shapes, no networks",
     "smooth, own target": "R_smooth against its own target, the smoothed simulation",
     "smooth": "R_smooth alone: M_smooth",
     "mean detail": "M_smooth + detail of M̄: R_fine predicting nothing",
@@ -109,12 +113,16 @@ def main(config: Config) -> None:
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
+    template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(manifest.space.mean, jnp.float32)))
+    kriged = {f: KrigedGarments(list(trained[f].values()), manifest, template) for f in fabrics}
     pipeline = Pipeline(model)
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
             rows = wanted[case, name]
-            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes, rival)
+            measured = measure(
+                garments[name], rows, pipeline, neighbours, kriged, model.body, config.inside_shapes, rival
+            )
             measure_spread(measured, config.data, garments[name], rows, trained)
             if config.dressed is not None and available(config.dressed, [name]):
                 measure_dressed(measured, config.dressed, garments[name], rows, pipeline, fabrics)
@@ -158,6 +166,7 @@ def measure(
     rows: np.ndarray,
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
+    kriged: Mapping[str, KrigedGarments],
     body: Body,
     inside_shapes: int,
     rival: Rival | None = None,
@@ -170,7 +179,7 @@ def measure(
     looked_at = spread(len(rows), inside_shapes)
     skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
     rivals = {} if rival is None else rival(samples, rows, list(neighbours))
-    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
+    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours, kriged).items():
         if fabric in rivals:
             drapes["paper form"] = rivals[fabric]
         simulated = samples.drapes[fabric][rows, :count]
@@ -187,7 +196,11 @@ def measure(
 
 
 def _predictions(
-    samples: SimulatedGarment, rows: np.ndarray, pipeline: Pipeline, neighbours: Mapping[str, NearestGarments]
+    samples: SimulatedGarment,
+    rows: np.ndarray,
+    pipeline: Pipeline,
+    neighbours: Mapping[str, NearestGarments],
+    kriged: Mapping[str, KrigedGarments],
 ) -> dict[str, dict[str, Stack]]:
     mean, count = samples.garment.mean_vertices, samples.garment.num_vertices
     still = np.broadcast_to(mean[None], (len(rows), count, 3))
@@ -201,6 +214,7 @@ def _predictions(
             "transfer": moved,
             "neighbours": neighbours[fabric](samples, rows, with_design=False),
             "neighbours, design": neighbours[fabric](samples, rows, with_design=True),
+            "kriging": kriged[fabric](samples, rows),
             "smooth": predicted.smooth,
             "mean detail": predicted.smooth + detail,
             "pipeline": predicted.fine,
@@ -327,6 +341,7 @@ def aims(results: Mapping[str, Any]) -> list[str]:
         ("trained ÷ the better kNN", over_neighbours("as trained"), 0.0, 1.0),
         ("unseen topology ÷ the better kNN", over_neighbours("unseen topology"), 0.0, 1.0),
         ("unseen design ÷ the better kNN", over_neighbours("unseen design"), 0.0, 0.8),
+        ("unseen design ÷ kriging", _ratio(unseen, value("unseen design", "kriging")), 0.0, 1.0),
         ("ends of the range ÷ mean", _ratio(value("as trained", key="ends_mm"), trained), 0.0, 1.5),
         ("held-out block of betas ÷ mean (short training, see Ablation)", block and block["ratio"], 0.0, 1.5),
         ("unseen design: varying folds, energy ÷ simulated", value("unseen design", key="wrinkles_varying"), 0.75, 1.1),

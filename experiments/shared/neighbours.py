@@ -10,7 +10,7 @@ from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from experiments.shared.evaluate import Stack, body_vertices
@@ -43,6 +43,9 @@ class Drapes:
     vertices: Stack
     good: Bool[np.ndarray, " S"]
     test: Bool[np.ndarray, " S"]
+    template_vertices: Int[np.ndarray, "V 3"]
+    """Vertices of the template triangle in which each vertex lies."""
+    template_weights: Float[np.ndarray, "V 3"]
 
 
 def load_drapes(model: TryOnModel, root: Path, name: str, fabric: str) -> Drapes:
@@ -62,6 +65,8 @@ def load_drapes(model: TryOnModel, root: Path, name: str, fabric: str) -> Drapes
             [[is_good({k: origin[k] for k in STATISTICS})], *(is_good({k: r[k] for k in STATISTICS}) for r in rays)]
         ),
         np.concatenate([[False], *(ray["test"] for ray in rays)]).astype(bool),
+        mesh["template_vertices"],
+        mesh["template_weights"],
     )
 
 

@@ -15,7 +15,8 @@ def drapes(bend: float = 0.0) -> Drapes:
     curved = np.concatenate([betas, bend * betas[:, :1] ** 2], axis=1)
     moved = mean[None] + 0.01 * np.einsum("sk,kvc->svc", curved, fields)
     good = np.ones(len(betas), bool)
-    return Drapes("tshirt-0", mean.astype(np.float32), np.zeros(3), betas, moved, good, ~good)
+    ties = np.zeros((20, 3), int), np.ones((20, 3)) / 3
+    return Drapes("tshirt-0", mean.astype(np.float32), np.zeros(3), betas, moved, good, ~good, *ties)
 
 
 def test_rays_are_found_in_order():
