@@ -35,6 +35,7 @@ from tryon_jax.tryon import (
     Garment,
     Stage,
     TryOnModel,
+    array_shapes,
     config_space,
     fine_stage,
     of_fabric,
@@ -302,7 +303,7 @@ def draw_collisions(
         stage: R_fine; one of all fabrics sees random ones.
     """
     first = pool[int(rng.integers(len(pool)))]
-    group = [p for p in pool if p.garment.graph.num_nodes == first.garment.graph.num_nodes]
+    group = [p for p in pool if array_shapes(p.garment) == array_shapes(first.garment)]
     chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
     betas = np.stack([random_betas(rng, options.shapes, extent) for _ in chosen])
     garments = stack_garments([p.garment for p in chosen])

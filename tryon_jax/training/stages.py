@@ -27,6 +27,7 @@ from tryon_jax.training.garments import SimulatedGarment, training_shapes
 from tryon_jax.tryon import (
     Garment,
     Stage,
+    array_shapes,
     base_and_detail,
     fine_base,
     fine_stage,
@@ -293,7 +294,7 @@ def displacements(config: TryOnConfig, s: StageSet, rows: Int[np.ndarray, " R"])
 
 
 class BatchSource:
-    """Draws batches of garments that share a bucket, buckets in proportion to their garments."""
+    """Draws batches of garments whose arrays have the same shapes, as those of a bucket, in proportion to them."""
 
     def __init__(
         self,
@@ -316,14 +317,14 @@ class BatchSource:
         self.sets = [s for s in sets if s.train.any()]
         if not self.sets:
             raise ValueError("no garment of the dataset has a good training sample")
-        self.by_bucket: dict[int, list[StageSet]] = {}
+        self._groups: dict[tuple[tuple[int, ...], ...], list[StageSet]] = {}
         for s in self.sets:
-            self.by_bucket.setdefault(s.garment.graph.num_nodes, []).append(s)
+            self._groups.setdefault(array_shapes(s.garment), []).append(s)
 
     def draw(self, rng: np.random.Generator) -> StageBatch:
         """One batch."""
         first = self.sets[rng.integers(len(self.sets))]
-        group = self.by_bucket[first.garment.graph.num_nodes]
+        group = self._groups[array_shapes(first.garment)]
         others = [group[i] for i in rng.integers(len(group), size=self.garments - 1)]
         chosen = [first, *others]
         picks = [rng.choice(np.flatnonzero(s.train), self.shapes) for s in chosen]

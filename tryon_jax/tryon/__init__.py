@@ -16,7 +16,7 @@ from tryon_jax.tryon.draping import (
     with_design,
 )
 from tryon_jax.tryon.features import fine_features, smooth_features
-from tryon_jax.tryon.garment import CarriedMesh, Garment, stack_garments
+from tryon_jax.tryon.garment import CarriedMesh, Garment, array_shapes, stack_garments
 from tryon_jax.tryon.model import (
     ALL_FABRICS,
     Stage,
@@ -44,6 +44,7 @@ __all__ = [
     "TryOnModel",
     "apply_fields",
     "apply_stage",
+    "array_shapes",
     "base_and_detail",
     "body_contact",
     "config_space",

@@ -92,6 +92,14 @@ class Garment:
         return dataclasses.replace(self, graph=dataclasses.replace(self.graph, vertices=vertices))
 
 
+def array_shapes(garment: Garment) -> tuple[tuple[int, ...], ...]:
+    """Shapes of a garment's arrays: garments of equal ones can be stacked.
+
+    Those of one bucket nearly always have them; a mesh with a vertex of very many neighbours has longer tables.
+    """
+    return tuple(np.shape(leaf) for leaf in jax.tree.leaves(garment))
+
+
 def stack_garments(garments: Sequence[Garment]) -> Garment:
     """Garments of one bucket with a leading axis, for `jax.vmap` over garments.
 
@@ -101,4 +109,6 @@ def stack_garments(garments: Sequence[Garment]) -> Garment:
     sizes = sorted({g.graph.num_nodes for g in garments})
     if len(sizes) != 1 or len({jax.tree.structure(g) for g in garments}) != 1:
         raise ValueError(f"garments of different buckets cannot be stacked: {sizes}; prepare them with one `bucket`")
+    if len({array_shapes(g) for g in garments}) != 1:
+        raise ValueError("garments whose tables of neighbours differ in length cannot be stacked: see `array_shapes`")
     return jax.tree.map(lambda *arrays: np.stack([np.asarray(a) for a in arrays]), *garments)
