@@ -11,17 +11,18 @@ from tqdm import tqdm
 
 from experiments.shared.evaluate import Pipeline, available, held_out_rows, load_all, open_model
 from experiments.shared.record import RESULTS, publish
+from experiments.shared.refined import stored_pattern
 from tryon_jax.checks import check_range
 from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment import load_manifest, remesh
 from tryon_jax.garment.placement import placement
 from tryon_jax.metrics import fine_part, vertex_distances
 from tryon_jax.physics.fabrics import load_fabric
-from tryon_jax.training.dataset import default_root, load_arrays, mesh_path, read_config
+from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
 from tryon_jax.tryon import config_space
-from tryon_jax.wear.simulate import Pattern, Simulator
+from tryon_jax.wear.simulate import Simulator
 
 TO_REST = 0
 """Stands for as many steps as it takes to come to rest."""
@@ -61,8 +62,7 @@ def main(config: Config) -> None:
     for name, one in tqdm(samples.items(), desc="designs", mininterval=2):
         rows = held_out_rows(one, fabrics, config.shapes)
         predicted = pipeline(one, rows, fabrics)
-        arrays = load_arrays(mesh_path(config.data, name))
-        pattern = Pattern(arrays["faces"], arrays["uv"], arrays["faces_uv"])
+        pattern = stored_pattern(config.data, name)
         design = manifest.design(one.label)
         mesh = remesh(config_space(model.config), design, model.config.target_area, seed=one.seed)
         if mesh.num_vertices != one.garment.num_vertices:

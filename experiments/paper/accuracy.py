@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
 from experiments.paper.ablation import block_ratio
+from experiments.paper.accuracy_table import TWINS, draw, markdown
 from experiments.shared.errors import Errors
 from experiments.shared.evaluate import (
     Pipeline,
@@ -27,8 +27,9 @@ from experiments.shared.evaluate import (
 from experiments.shared.kriging import KrigedGarments
 from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
 from experiments.shared.record import RESULTS, publish, read_result
+from experiments.shared.refined import Refiner
+from tryon_jax.checks import check_range
 from tryon_jax.contact.skin import Skin
-from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
 from tryon_jax.nets.mlp import apply_mean_drape
@@ -39,26 +40,6 @@ from tryon_jax.training.stages import CHUNK
 from tryon_jax.tryon import load_model
 from tryon_jax.types import Body
 
-ROWS = {
-    "mean drape": "do nothing: M̄",
-    "transfer": "M̄ moved with the nearest body vertex",
-    "neighbours": "nearest training garments (kNN), no learning",
-    "neighbours, design": "the same with the design in the key",
-    "kriging": "training drapes kriged over designs and body shapes, no networks",
-    "smooth, own target": "R_smooth against its own target, the smoothed simulation",
-    "smooth": "R_smooth alone: M_smooth",
-    "mean detail": "M_smooth + detail of M̄: R_fine predicting nothing",
-    "carried offset": "M_smooth + offset simulated on the mean body",
-    "pipeline": "full pipeline: M_fine",
-    "paper form": "the same in the paper's form, betas at each node, trained for as long",
-    "dressed": "full pipeline against drapes that were dressed by themselves",
-    "dressed, simulation": "the simulation against drapes that were dressed by themselves",
-    "spread": "simulator's spread between two meshes of a design: displacement",
-    "spread, drape": "simulator's spread between two meshes of a design: drape",
-    "simulation": "the simulation itself",
-}
-"""Rows of the table; "carried offset" alone needs a simulation of the garment, on the mean body."""
-TWINS = "trained topologies of that design, same shapes"
 Table = dict[str, dict[str, Errors]]
 """Errors by row and fabric."""
 
@@ -84,12 +65,15 @@ class Config:
     """Garments of each case, evenly spread; 0 for all. The kNN always has all training garments."""
     inside_shapes: int = 2
     """Shapes of each garment whose vertices inside the body are counted."""
+    refine: int = 5
+    """Steps of the solver after the drapes of unseen designs and topologies, in a row of their own; 0 leaves it out."""
     untrained: bool = False
     """Run with stages that are not trained, to try the experiment out."""
 
 
 def main(config: Config) -> None:
     """Measure every row of every case and print, draw and store the table."""
+    check_range("refine", config.refine, 0, 10_000, "steps")
     manifest = load_manifest()
     fabrics = read_config(config.data).fabrics
     weights = model_path(config.run)
@@ -116,6 +100,7 @@ def main(config: Config) -> None:
     template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(manifest.space.mean, jnp.float32)))
     kriged = {f: KrigedGarments(list(trained[f].values()), manifest, template) for f in fabrics}
     pipeline = Pipeline(model)
+    refiner = Refiner(model.body, config.data, config.refine) if config.refine else None
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
@@ -123,6 +108,8 @@ def main(config: Config) -> None:
             measured = measure(
                 garments[name], rows, pipeline, neighbours, kriged, model.body, config.inside_shapes, rival
             )
+            if refiner is not None and case.startswith("unseen"):
+                measure_refined(measured, garments[name], rows, pipeline, refiner, fabrics)
             measure_spread(measured, config.data, garments[name], rows, trained)
             if config.dressed is not None and available(config.dressed, [name]):
                 measure_dressed(measured, config.dressed, garments[name], rows, pipeline, fabrics)
@@ -234,6 +221,27 @@ def _fine(samples: SimulatedGarment, drapes: Stack) -> Stack:
     return fine_part(samples.garment.smoother, padded)[: len(drapes), :count]
 
 
+def measure_refined(
+    table: Table,
+    samples: SimulatedGarment,
+    rows: np.ndarray,
+    pipeline: Pipeline,
+    refiner: Refiner,
+    fabrics: Sequence[str],
+) -> None:
+    """Errors of the pipeline's drapes after a few steps of the solver."""
+    if not len(rows):
+        return
+    betas, count = samples.betas[rows], samples.garment.num_vertices
+    for fabric, predicted in pipeline(samples, rows, fabrics).items():
+        simulated = samples.drapes[fabric][rows, :count]
+        refined = refiner(samples.name, fabric, betas, predicted.fine)
+        errors = table.setdefault("refined", {}).setdefault(fabric, Errors())
+        errors.add(vertex_distances(refined, simulated), ray_ends(betas))
+        if len(rows) > 1:
+            errors.wrinkles.append(compare_wrinkles(_fine(samples, refined), _fine(samples, simulated)))
+
+
 def measure_spread(
     table: Table, root: Path, here: SimulatedGarment, rows: np.ndarray, trained: Mapping[str, Mapping[str, Drapes]]
 ) -> None:
@@ -279,114 +287,3 @@ def measure_dressed(
         for row, drape in drapes.items():
             errors = table.setdefault(row, {}).setdefault(fabric, Errors())
             errors.add(vertex_distances(drape, there.vertices[theirs]), ends)
-
-
-def markdown(results: Mapping[str, Any]) -> list[str]:
-    """The table of each case, fabrics side by side."""
-    lines = []
-    for case, rows in results["table"].items():
-        if not rows:
-            lines += [f"**{case}**: nothing simulated, not measured", ""]
-            continue
-        fabrics = list(next(iter(rows.values())))
-        lines += [
-            f"**{case}** ({results['garments'][case]} garments)",
-            "",
-            "| | "
-            + " | ".join(f"{f}: mean · p95 · ends of the range, mm" for f in fabrics)
-            + " | wrinkles ÷ simulated: total · varying (correlation) | inside the body, % |",
-            "|---|" + "---|" * (len(fabrics) + 2),
-        ]
-        for row, title in ROWS.items():
-            if row not in rows:
-                continue
-            cells = []
-            for fabric in fabrics:
-                entry = rows[row].get(fabric)
-                values = [entry[k] for k in ("mean_mm", "p95_mm", "ends_mm")] if entry else [None] * 3
-                cells.append(" · ".join(_number(v, 1 if k else 2) for k, v in enumerate(values)))
-            averaged = {
-                k: _average(rows[row], k)
-                for k in ("wrinkles_total", "wrinkles_varying", "wrinkle_correlation", "inside_percent")
-            }
-            wrinkles = "–"
-            if averaged["wrinkles_total"] is not None:
-                total, varying = _number(averaged["wrinkles_total"]), _number(averaged["wrinkles_varying"])
-                wrinkles = f"{total} · {varying} ({_number(averaged['wrinkle_correlation'])})"
-            lines.append(f"| {title} | {' | '.join(cells)} | {wrinkles} | {_number(averaged['inside_percent'])} |")
-        lines.append("")
-    return [*lines, *aims(results)]
-
-
-def aims(results: Mapping[str, Any]) -> list[str]:
-    """Each aim beside what was measured; averages over the fabrics."""
-
-    def value(case: str, row: str = "pipeline", key: str = "mean_mm") -> float | None:
-        by_fabric = results["table"].get(case, {}).get(row)
-        return None if by_fabric is None else _average(by_fabric, key)
-
-    def over_neighbours(case: str) -> float | None:
-        """Error over that of the better kNN."""
-        known = [kin for row in ("neighbours", "neighbours, design") if (kin := value(case, row)) is not None]
-        return _ratio(value(case), min(known)) if known else None
-
-    trained, unseen = value("as trained"), value("unseen design")
-    twins, topologies = value(TWINS), value("unseen topology")
-    block = results.get("held_out_block")
-    rows = [
-        ("trained design and topology, mm", trained, 0.0, 2.0),
-        ("unseen topology, mm", topologies, 0.0, 2.6),
-        ("unseen topology ÷ trained ones of that design", _ratio(topologies, twins), 0.0, 1.05),
-        ("unseen design, mm", unseen, 0.0, 3.0),
-        ("trained ÷ the better kNN", over_neighbours("as trained"), 0.0, 1.0),
-        ("unseen topology ÷ the better kNN", over_neighbours("unseen topology"), 0.0, 1.0),
-        ("unseen design ÷ the better kNN", over_neighbours("unseen design"), 0.0, 0.8),
-        ("unseen design ÷ kriging", _ratio(unseen, value("unseen design", "kriging")), 0.0, 1.0),
-        ("ends of the range ÷ mean", _ratio(value("as trained", key="ends_mm"), trained), 0.0, 1.5),
-        ("held-out block of betas ÷ mean (short training, see Ablation)", block and block["ratio"], 0.0, 1.5),
-        ("unseen design: varying folds, energy ÷ simulated", value("unseen design", key="wrinkles_varying"), 0.75, 1.1),
-        ("unseen design: varying folds, correlation", value("unseen design", key="wrinkle_correlation"), 0.7, 1.0),
-    ]
-    lines = ["| aim | measured | wanted | |", "|---|---|---|---|"]
-    for title, measured, low, high in rows:
-        wanted = f"{low:g} to {high:g}" if low else f"at most {high:g}"
-        word = "not measured" if measured is None else "reached" if low <= measured <= high else "not reached"
-        lines.append(f"| {title} | {_number(measured)} | {wanted} | {word} |")
-    return lines
-
-
-def _ratio(part: float | None, whole: float | None) -> float | None:
-    return None if part is None or not whole else part / whole
-
-
-def _average(by_fabric: Mapping[str, Mapping[str, Any]], key: str) -> float | None:
-    values = [entry[key] for entry in by_fabric.values() if entry.get(key) is not None]
-    return float(np.mean(values)) if values else None
-
-
-def _number(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def draw(path: Path, results: Mapping[str, Any]) -> None:
-    """Bars of the mean distance by row and case."""
-    from matplotlib.figure import Figure
-
-    cases = [case for case, rows in results["table"].items() if rows]
-    shown = [row for row in ROWS if row not in ("simulation", "smooth, own target")]
-    figure = Figure(figsize=(9, 0.9 + 0.55 * len(shown)), dpi=90, layout="constrained")
-    axis = figure.subplots()
-    height = 0.8 / max(len(cases), 1)
-    for number, case in enumerate(cases):
-        rows = results["table"][case]
-        values = [_average(rows[row], "mean_mm") if row in rows else None for row in shown]
-        at = np.arange(len(shown)) + (number - (len(cases) - 1) / 2) * height
-        bars = axis.barh(at, [v or 0.0 for v in values], 0.92 * height, label=case)
-        axis.bar_label(bars, [_number(v, 1) for v in values], padding=3, fontsize=7)
-    axis.set_yticks(np.arange(len(shown)), [ROWS[row] for row in shown], fontsize=8)
-    axis.invert_yaxis()
-    axis.set_xlabel("mm from the simulation, test shapes")
-    axis.legend(fontsize=8)
-    axis.spines[["top", "right"]].set_visible(False)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary)

@@ -17,6 +17,8 @@ from experiments.shared.evaluate import (
 )
 from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
+from experiments.shared.refined import Refiner
+from tryon_jax.checks import check_range
 from tryon_jax.contact.push_out import push_out
 from tryon_jax.contact.signed_distance import ClosedSurface
 from tryon_jax.garment.manifest import load_manifest
@@ -45,12 +47,15 @@ class Config:
     """Unseen designs, evenly spread; 0 for all."""
     picture: str = "unseen-tshirt-0"
     """Garment of the picture, where it is simulated."""
+    refine: int = 5
+    """Steps of the solver after the prediction, as users get it with `--refine 5`: measured and drawn beside it."""
     untrained: bool = False
     """Run with stages that are not trained, to try the experiment out."""
 
 
 def main(config: Config) -> None:
     """Measure all unseen designs and draw one of them."""
+    check_range("refine", config.refine, 1, 10_000, "steps")
     fabrics = read_config(config.data).fabrics
     if len(fabrics) != 2:
         raise ValueError(f"this experiment compares two fabrics, the dataset has {len(fabrics)}")
@@ -60,22 +65,25 @@ def main(config: Config) -> None:
     if not names:
         raise ValueError("no unseen design is simulated: run `python -m experiments simulate --part unseen` first")
     garments = load_all(model, config.data, names)
-    pipeline = Pipeline(model)
+    pipeline, refiner = Pipeline(model), Refiner(model.body, config.data, config.refine)
+    refined_kind = f"after {config.refine} solver steps"
     distances: list[np.ndarray] = []
     differences: list[tuple[float, float, float]] = []
-    kinds = [f"{kind} {fabric}" for kind in ("predicted", "simulated") for fabric in fabrics]
+    kinds = [f"{kind} {fabric}" for kind in ("predicted", refined_kind, "simulated") for fabric in fabrics]
     folds: dict[str, list[dict[str, float]]] = {kind: [] for kind in kinds}
     for samples in tqdm(list(garments.values()), desc="garments", mininterval=2):
         rows = held_out_rows(samples, fabrics, config.shapes)
         count, faces = samples.garment.num_vertices, samples.garment.faces
         by_fabric = pipeline(samples, rows, fabrics)
         predicted = np.stack([by_fabric[f].fine for f in fabrics])
+        betas = samples.betas[rows]
+        refined = np.stack([refiner(samples.name, f, betas, by_fabric[f].fine) for f in fabrics])
         simulated = np.stack([samples.drapes[f][rows, :count] for f in fabrics])
         for k in range(len(rows)):
             apart = [[vertex_distances(p, s).mean() for s in simulated[:, k]] for p in predicted[:, k]]
             distances.append(1e3 * np.array(apart))
             differences.append(_difference(predicted[:, k], simulated[:, k]))
-            for kind, drapes in (("predicted", predicted), ("simulated", simulated)):
+            for kind, drapes in (("predicted", predicted), (refined_kind, refined), ("simulated", simulated)):
                 for fabric, drape in zip(fabrics, drapes[:, k], strict=True):
                     folds[f"{kind} {fabric}"].append(asdict(fold_statistics(drape, faces)))
     every = np.array(distances)
@@ -105,6 +113,7 @@ def main(config: Config) -> None:
         for kind, drapes in (
             ("predicted", predicted),
             ("as users get it, pushed out", [push_out(drape, faces, skin).vertices for drape in predicted]),
+            (refined_kind, [refiner(shown.name, f, shown.betas[row], predictions[f].fine)[0] for f in fabrics]),
             ("simulated", [shown.drapes[f][row[0], :count] for f in fabrics]),
         )
         for fabric, drape, color in zip(fabrics, drapes, COLORS, strict=True)

@@ -14,13 +14,13 @@ def run_materials(config, monkeypatch):
     materials.main(config)
     record = read_result(config.out, "materials")
     assert record is not None
-    assert len(sheets[0]) == 6
+    assert len(sheets[0]) == 8
     return record["results"]
 
 
 @pytest.mark.slow
 def test_a_prediction_is_nearest_to_the_simulation_that_it_is(known, tmp_path, monkeypatch):
-    found = run_materials(materials.Config(known.data, known.run, out=tmp_path), monkeypatch)
+    found = run_materials(materials.Config(known.data, known.run, out=tmp_path, refine=1), monkeypatch)
     assert found["garments"] == 1
     assert found["samples"] == TEST.sum()
     distance = np.array(found["distance_mm"])
@@ -43,7 +43,7 @@ def test_predictions_of_the_wrong_fabric_are_seen(known, tmp_path, monkeypatch):
             return dict(zip(fabrics, (other, one), strict=True))
 
     monkeypatch.setattr(materials, "Pipeline", Swapped)
-    found = run_materials(materials.Config(known.data, known.run, out=tmp_path), monkeypatch)
+    found = run_materials(materials.Config(known.data, known.run, out=tmp_path, refine=1), monkeypatch)
     assert found["own_nearer_share"] == [0.0, 0.0]
     assert found["difference_correlation"] == pytest.approx(-1.0, abs=1e-5)
     assert "not supported" in "\n".join(materials.markdown(found))
