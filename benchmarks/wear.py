@@ -6,6 +6,8 @@ python -m benchmarks wear --designs dress --repeats 15
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from benchmarks.record import write_record
 from measuring.records import table
 from measuring.timing import milliseconds
@@ -35,8 +37,13 @@ def main(config: Config) -> None:
         draped = session.drape(session.prepare(name), config.betas)
         body, pushed = draped.body, session.push_out(draped)
         session.measure(pushed)
+        moved = np.clip(session.space.preset(name).values + 0.01, session.space.minimum, session.space.maximum)
+        to = session.space.from_values(moved)
+        if session.prepare(to, near=draped.garment).near is None:
+            raise ValueError(f"a design 1 cm from {name} was not near enough to keep its triangles")
         steps = {
             "prepare": lambda name=name: prepare(session.model, name),
+            "prepare, design moved by 1 cm": lambda start=draped.garment, to=to: session.prepare(to, near=start),
             "surface of the body": lambda body=body: ClosedSurface(body.vertices, body.faces),
             "push out": lambda draped=draped: session.push_out(draped),
             "fit": lambda pushed=pushed: session.measure(replace(pushed, fit=None)),

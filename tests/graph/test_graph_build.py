@@ -87,6 +87,17 @@ def test_more_neighbours_than_planned_grow_the_lists(body):
     assert (dense[0] != 0).sum() >= 80
 
 
+def test_levels_are_taken_over(body):
+    """With them the graph is that of the same faces, whatever the vertices."""
+    vertices, faces = tube()
+    first = build_graph(vertices, faces, body)
+    again = build_graph(1.1 * vertices, faces, body, levels=first.levels)
+    assert again.levels is first.levels
+    np.testing.assert_allclose(again.vertices, 1.1 * np.asarray(first.vertices), rtol=1e-6)
+    with pytest.raises(ValueError, match="levels are of 320 vertices, the mesh has 3"):
+        build_graph(*triangle(), body, levels=first.levels)
+
+
 def test_faults_are_named(body):
     vertices, faces = tube()
     with pytest.raises(ValueError, match="0 vertices"):

@@ -95,6 +95,19 @@ def test_compilations_are_seen(compilations):
     assert compilations != []
 
 
+def test_a_moved_slider_takes_the_triangles_along_until_the_result_is_finished(page, result):
+    before = page.finish(page.compute(page.start()))
+    design = tuple(np.array(before.settings.design) + 0.005)
+    moving = page.compute(replace(before.settings, design=design), before)
+    assert moving.dressed.garment.near is before.dressed.garment
+    np.testing.assert_array_equal(moving.layers["drape"].faces, before.layers["drape"].faces)
+    finished = page.finish(moving)
+    assert finished.dressed.garment.near is None
+    assert finished.dressed.garment.design == page.session.prepare(design).design
+    assert finished.dressed.fit is not None
+    assert finished.layers["drape"].vertices.shape == finished.dressed.vertices.shape
+
+
 def test_measurements_lead_to_a_body_that_has_them(page, result):
     fit = page.session.body_of({"stature": 1.70})
     betas = tuple(float(b) for b in fit.betas)

@@ -11,6 +11,7 @@ import tryon_jax as tj
 from benchmarks._machine import counting_compilations
 from tests.flat_model import flat_model
 from tryon_jax.body import load_body
+from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
 from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.wear.stopwatch import Stopwatch
@@ -145,6 +146,33 @@ def test_what_makes_no_sense_is_refused(session, call, message):
 def test_measurements_name_a_body(session):
     fit = session.body_of({"stature": 1.7})
     assert session.shape(np.asarray(fit.betas)).measurements["stature"] == pytest.approx(1.7, abs=5e-3)
+
+
+def test_a_near_design_takes_the_triangles_along(session):
+    """Also from a garment that did so itself; one that is too far, has another seed or is known is made as always."""
+    carried = session.prepare("tshirt")
+    assert session.prepare({"chest": 1.03}, near=carried).near is None, "a mesh of another density moves with another"
+    session = tj.Session(flat_model(target_area=1.2e-3))
+    first = session.prepare({"chest": 1.02, "length": 0.64})
+    near = session.prepare({"chest": 1.03, "length": 0.65}, near=first)
+    assert near.near is first
+    assert near.faces is first.faces
+    assert near.design is not None
+    assert near.design.as_dict()["chest"] == 1.03
+    assert near.garment.graph.levels is first.garment.graph.levels
+    assert np.abs(near.uv - first.uv).max() > 1e-3
+    further = session.prepare({"chest": 1.04, "length": 0.65}, near=near)
+    assert further.near is first
+    far = session.prepare({"chest": 1.17, "length": 1.2}, near=first)
+    assert far.near is None
+    assert session.prepare({"chest": 1.03, "length": 0.65}, seed=3, near=first).near is None
+    anew = session.prepare({"chest": 1.03, "length": 0.65})
+    assert anew.near is None
+    assert session.prepare({"chest": 1.03, "length": 0.65}, near=first) is anew
+    # On its new triangles the same cloth lies in the same place.
+    onto = map_patterns(pattern_arrays(near.mesh), pattern_arrays(anew.mesh))
+    there = onto(anew.garment.mean_vertices[None])[0]
+    assert np.linalg.norm(near.garment.mean_vertices - there, axis=1).mean() < 5e-3
 
 
 @pytest.fixture(scope="module")

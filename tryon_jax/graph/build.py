@@ -97,6 +97,7 @@ def build_graph(
     bucket: int | None = None,
     pattern: Float[np.ndarray, "V 3"] | None = None,
     laplacian: Normalisation = "random-walk",
+    levels: tuple[GraphLevel, ...] | None = None,
     dtype: np.dtype | type = np.float32,
 ) -> GarmentGraph:
     """Laplacians, pooling hierarchy and node features of a garment on the mean body, padded to a size bucket.
@@ -112,11 +113,13 @@ def build_graph(
             built from them, since the costs of edge collapses tie or nearly tie all over a garment, and the last bits
             of a predicted mean drape would choose between them. By default the vertices themselves.
         laplacian: Normalisation of the graph Laplacians.
+        levels: Of a graph of the same faces, taken over in place of a hierarchy made anew.
         dtype: Of all floating-point arrays. The vertices are rounded to it before anything is built from them, so
             that equal graphs come from equal stored vertices.
 
     Raises:
-        ValueError: there is no vertex, a face index is out of range, or `bucket` is too small.
+        ValueError: there is no vertex, a face index is out of range, `bucket` is too small, or `levels` are of another
+            number of vertices.
     """
     num_vertices = len(vertices)
     if num_vertices == 0 or len(faces) == 0:
@@ -126,30 +129,12 @@ def build_graph(
             f"faces refer to vertex {faces.max()} (or {faces.min()}), but there are {num_vertices} vertices"
         )
     points = np.asarray(vertices, dtype).astype(np.float64)
-    laplacians, downs, ups = [], [], []
-    level_points = points if pattern is None else np.asarray(pattern, np.float64)
-    level_faces = np.asarray(faces, np.int64)
-    for level in range(num_levels):
-        edges, _ = unique_edges(level_faces, len(level_points))
-        laplacians.append(scaled_laplacian(edges, len(level_points), laplacian)[0])
-        if level + 1 < num_levels:
-            coarse = coarsen(level_points, level_faces)
-            down = down_matrix(coarse, pooling)
-            # Coarse features are located where the down matrix puts them: at the means of the clusters, if it averages.
-            ups.append(up_matrix(level_points, down @ level_points, coarse.faces, coarse.cluster))
-            downs.append(down)
-            level_points, level_faces = level_points[coarse.kept], coarse.faces
-    sizes = [matrix.shape[0] for matrix in laplacians]
-    needed = bucket_for_levels(sizes)
-    size = bucket or needed
-    if any(n > size >> level for level, n in enumerate(sizes)) or size % (1 << (num_levels - 1)):
-        raise ValueError(f"bucket = {size} does not hold levels of {sizes} nodes; use {needed}")
-    levels = tuple(
-        _pad_level(
-            laplacians[i], downs[i] if i < len(downs) else None, ups[i] if i < len(ups) else None, size >> i, dtype
-        )
-        for i in range(num_levels)
-    )
+    if levels is None:
+        shape = points if pattern is None else np.asarray(pattern, np.float64)
+        levels = _hierarchy(shape, np.asarray(faces, np.int64), num_levels, pooling, laplacian, bucket, dtype)
+    elif int(np.asarray(levels[0].mask).sum()) != num_vertices:
+        raise ValueError(f"levels are of {int(np.asarray(levels[0].mask).sum())} vertices, the mesh has {num_vertices}")
+    size = len(np.asarray(levels[0].mask))
     capacity = 2 * size
     while capacity < len(faces):
         capacity *= 2
@@ -162,6 +147,39 @@ def build_graph(
         body_vertices=pad_rows(closest, size, np.int32),
         mask=np.arange(size) < num_vertices,
         num_vertices=np.asarray(num_vertices, np.int32),
+    )
+
+
+def _hierarchy(
+    points: np.ndarray,
+    faces: np.ndarray,
+    num_levels: int,
+    pooling: Pooling,
+    laplacian: Normalisation,
+    bucket: int | None,
+    dtype: np.dtype | type,
+) -> tuple[GraphLevel, ...]:
+    laplacians, downs, ups = [], [], []
+    for level in range(num_levels):
+        edges, _ = unique_edges(faces, len(points))
+        laplacians.append(scaled_laplacian(edges, len(points), laplacian)[0])
+        if level + 1 < num_levels:
+            coarse = coarsen(points, faces)
+            down = down_matrix(coarse, pooling)
+            # Coarse features are located where the down matrix puts them: at the means of the clusters, if it averages.
+            ups.append(up_matrix(points, down @ points, coarse.faces, coarse.cluster))
+            downs.append(down)
+            points, faces = points[coarse.kept], coarse.faces
+    sizes = [matrix.shape[0] for matrix in laplacians]
+    needed = bucket_for_levels(sizes)
+    size = bucket or needed
+    if any(n > size >> level for level, n in enumerate(sizes)) or size % (1 << (num_levels - 1)):
+        raise ValueError(f"bucket = {size} does not hold levels of {sizes} nodes; use {needed}")
+    return tuple(
+        _pad_level(
+            laplacians[i], downs[i] if i < len(downs) else None, ups[i] if i < len(ups) else None, size >> i, dtype
+        )
+        for i in range(num_levels)
     )
 
 

@@ -74,6 +74,7 @@ def prepare_mesh(
     *,
     vertices: Float[np.ndarray, "V 3"] | None = None,
     bucket: int | None = None,
+    near: Garment | None = None,
 ) -> Garment:
     """As `prepare`, for a garment mesh of φ that exists already (as in training sets).
 
@@ -85,6 +86,7 @@ def prepare_mesh(
         mesh: Topology and its tie to the template.
         vertices: M̄ in metres, which the networks then see as it is; by default W · R_mean(p).
         bucket: Number of nodes to pad to.
+        near: A garment of the same faces, whose pooling hierarchy is taken over (see `garment.near_design`).
     """
     config = model.config
     design = np.asarray(mesh.design.values, np.float32)
@@ -101,8 +103,9 @@ def prepare_mesh(
         num_levels=config.num_levels,
         pooling=config.pooling,
         bucket=bucket,
-        pattern=placement(mesh),
+        pattern=None if near is not None else placement(mesh),
         laplacian=config.laplacian,
+        levels=None if near is None else near.graph.levels,
     )
     size = graph.num_nodes
     template_vertices = np.zeros((size, 3), np.int32)

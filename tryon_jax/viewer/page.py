@@ -35,6 +35,8 @@ _BEGUN: dict[Kind, str] = {
 }
 # Metres: where the simulation stands, and half the side of the floor.
 _BESIDE, _FLOOR = 1.9, 3.0
+_STILL = 0.3
+"""Seconds without a new request after which a garment on moved triangles is made anew."""
 _SIMULATED = Material(color=(0.69, 0.44, 0.35), roughness=0.9, double_sided=True)
 
 
@@ -233,13 +235,18 @@ class Page:
 
     def _work_on_settings(self, settings: Any) -> None:
         if self.result is None or self.result.settings != settings:
-            result = self.model.compute(settings)
+            result = self.model.compute(settings, self.result)
             with self._drawing:
                 self._waited = time.perf_counter() - self._asked_at
                 self._take_result(result)
             self._finishing.give(result)
 
     def _work_on_finish(self, result: Result) -> None:
+        if result.dressed.garment.near is not None:
+            # While a slider moves, the next answer comes before this one needs to be made anew.
+            time.sleep(_STILL)
+            if self.result is not result:
+                return
         finished = self.model.finish(result)
         with self._drawing:
             if self.result is result:

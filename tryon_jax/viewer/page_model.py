@@ -134,8 +134,13 @@ class PageModel:
         arms = LOWEST if self.lowers_arms else 0.0
         return Settings(values, (0.0,) * len(self.beta_ranges), self.session.fabrics[0], arms=arms)
 
-    def compute(self, settings: Settings) -> Result:
+    def compute(self, settings: Settings, shown: Result | None = None) -> Result:
         """Prepare what is new, and drape.
+
+        Args:
+            settings: What to drape.
+            shown: An earlier answer: of a design near to it the triangles are taken over, which is quicker. `finish`
+                makes the garment anew.
 
         Raises:
             ValueError: A design out of range, an unknown fabric, too many betas, or a mesh that is no garment.
@@ -143,7 +148,8 @@ class PageModel:
         watch, session, own = Stopwatch(), self.session, settings.own
         with self._lock:
             if own is None:
-                garment = session.prepare(settings.design, seed=settings.seed, stopwatch=watch)
+                near = None if shown is None or shown.settings.own is not None else shown.dressed.garment
+                garment = session.prepare(settings.design, seed=settings.seed, near=near, stopwatch=watch)
             else:
                 garment = session.prepare(mesh=own.loaded, label=own.name, stopwatch=watch)
             dressed = session.drape(garment, settings.betas, fabric=settings.fabric, stopwatch=watch)
@@ -151,7 +157,12 @@ class PageModel:
         return Result(settings, dressed, self._layers(dressed, standing), watch.seconds, standing)
 
     def finish(self, result: Result) -> Result:
-        """The result with its drape pushed out of the body, where that is asked for, with the fit and the verdict."""
+        """The result with its drape pushed out of the body, where that is asked for, with the fit and the verdict.
+
+        A garment on the triangles of a near design is made anew first.
+        """
+        if result.dressed.garment.near is not None:
+            result = self.compute(result.settings)
         dressed = result.dressed
         if dressed.fit is not None:
             return result

@@ -31,6 +31,8 @@ class PreparedGarment:
     """What was cut from a design; None for a mesh of the user's own."""
     has_pattern: bool = True
     """False for a mesh whose `uv` is only its triangles laid flat one by one."""
+    near: "PreparedGarment | None" = None
+    """The garment of a near design whose triangles and hierarchy it has; None where it was made anew."""
     repairs: tuple[str, ...] = ()
     """What was found and changed in a mesh of the user's own, one sentence each."""
 
@@ -65,6 +67,18 @@ def prepared_design(model: TryOnModel, mesh: GarmentMesh, bucket: int | None = N
     """
     garment = prepare_mesh(model, mesh, bucket=bucket)
     return PreparedGarment(garment, mesh.faces, mesh.uv, mesh.faces_uv, str(mesh.design), mesh)
+
+
+def prepared_near(model: TryOnModel, mesh: GarmentMesh, near: PreparedGarment) -> PreparedGarment:
+    """The garment of a mesh that was moved from that of a near design.
+
+    Args:
+        model: Networks and body.
+        mesh: From `garment.near_design.mesh_of_near_design`.
+        near: The garment of the mesh that was moved.
+    """
+    garment = prepare_mesh(model, mesh, near=near.garment)
+    return PreparedGarment(garment, near.faces, mesh.uv, near.faces_uv, str(mesh.design), mesh, near=near)
 
 
 def prepared_own(model: TryOnModel, own: LoadedGarment | OwnGarment, label: str) -> PreparedGarment:

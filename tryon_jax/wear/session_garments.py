@@ -6,13 +6,14 @@ from pathlib import Path
 
 from tryon_jax.checks import check_file
 from tryon_jax.garment import Design, remesh
+from tryon_jax.garment.near_design import mesh_of_near_design
 from tryon_jax.graph.buckets import bucket_size
 from tryon_jax.mesh.repair import LoadedGarment
 from tryon_jax.tryon import TryOnModel, config_space, design_of
 from tryon_jax.types import Body
 from tryon_jax.wear.last_used import LastUsed
 from tryon_jax.wear.own import OwnGarment, OwnOptions, bring_own
-from tryon_jax.wear.prepared import PreparedGarment, prepared_design, prepared_own
+from tryon_jax.wear.prepared import PreparedGarment, prepared_design, prepared_near, prepared_own
 from tryon_jax.wear.session_bodies import SessionBodies
 from tryon_jax.wear.simulate import Progress, Simulator
 from tryon_jax.wear.stopwatch import Stopwatch
@@ -49,6 +50,7 @@ class SessionGarments(SessionBodies):
         own: OwnOptions | None = None,
         label: str | None = None,
         seed: int = 0,
+        near: PreparedGarment | None = None,
         stopwatch: Stopwatch | None = None,
         progress: Progress | None = None,
     ) -> PreparedGarment:
@@ -61,6 +63,8 @@ class SessionGarments(SessionBodies):
             own: What is known of the file.
             label: What to call a mesh; by default its file's name.
             seed: Another seed gives another mesh of the same design.
+            near: A garment of another design, from here. If the design is near, its triangles are moved with the
+                pattern, which takes a third of the time; the drape differs as that of another mesh does.
             stopwatch: Takes the time of "pattern and mesh" or "own mesh", and of "graph".
             progress: Told while a mesh settles.
 
@@ -84,7 +88,23 @@ class SessionGarments(SessionBodies):
             with watch.stage("graph"):
                 return prepared_design(self.model, cut, bucket)
 
+        if near is not None and key not in self._garments:
+            moved = self._moved(near.near or near, wanted, seed, watch)
+            if moved is not None:
+                return moved
         return self._garments.get(key, make)
+
+    def _moved(self, near: PreparedGarment, wanted: Design, seed: int, watch: Stopwatch) -> PreparedGarment | None:
+        """The garment on the triangles of a near design; None where that one is too far or was made otherwise."""
+        mesh = near.mesh
+        if mesh is None or mesh.seed != seed or mesh.target_area != self.triangle_area:
+            return None
+        with watch.stage("pattern and mesh"):
+            cut = mesh_of_near_design(self.space, mesh, wanted)
+        if cut is None or near.garment.own is not None:
+            return None
+        with watch.stage("graph"):
+            return prepared_near(self.model, cut, near)
 
     def _prepare_own(
         self,
