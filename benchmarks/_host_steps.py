@@ -18,6 +18,11 @@ ABOUT = {
         "One try-on on the host",
         "Medians of one core (`python -m benchmarks wear`): everything about a try-on but the networks.",
     ),
+    "catalogue": (
+        "A catalogue",
+        "Processor time of one core for each drape of `tryon catalogue` on 64 bodies (`python -m benchmarks "
+        "catalogue`), garment and bodies made before, as for all but the first of a block.",
+    ),
     "picture": (
         "Pictures",
         "A dressed body drawn from one view and from three (`python -m benchmarks picture`), medians of one core.",

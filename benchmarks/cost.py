@@ -1,9 +1,10 @@
-"""What simulating, training and draping cost, from the records of `compare` and of the weights, in docs/cost.md.
+"""What simulating, training and draping cost, from records of benchmarks and of the weights, in docs/cost.md.
 
 python -m benchmarks cost
 python -m benchmarks cost --cpu-price 0.05 --gpu-price 3
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.catalogue import VARIANTS
 from benchmarks.record import RESULTS
 from benchmarks.report import device, load_records
 from measuring.records import table
@@ -26,8 +28,8 @@ CATALOGUES = ((19, 201), (100, 100), (1_000, 100), (1_000, 1_000), (10_000, 1_00
 """Garments × bodies."""
 DATASETS = ((38, 2, 201), (76, 2, 201), (200, 2, 201), (1_000, 2, 201))
 """Garments (designs × topologies), fabrics, shapes."""
-BYTES = 12
-"""Of a vertex in float32."""
+BLOCK = 64
+"""Bodies for which a garment is prepared once: a block of a catalogue."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Config:
     """Where from, where to, and the prices, which are assumptions and not measurements."""
 
     results: Path = RESULTS
-    """Folder of the records of `python -m benchmarks compare`."""
+    """Folder of the records of `python -m benchmarks compare` and `catalogue`."""
     out: Path = Path("docs/cost.md")
     cpu_price: float = 0.04
     """Euros for a core and an hour."""
@@ -44,41 +46,69 @@ class Config:
 
 
 @dataclass(frozen=True)
+class CatalogueRates:
+    """What one core was measured to do for `tryon catalogue`, means over garments."""
+
+    prepare: float
+    """Seconds from a design to a garment."""
+    drape: float
+    """Seconds for a drape that is pushed out, measured and judged."""
+    alone: float
+    """Seconds for a drape that is only written."""
+    file: float
+    """Bytes of a drape."""
+
+
+@dataclass(frozen=True)
 class Rates:
     """What one device was measured to do."""
 
     name: str
     platform: str
+    cores: int
     price: float
     """Euros an hour for the device."""
-    drapes: float
-    """Drapes a second, at the batch that does most."""
-    drape_vertices: int
-    prepare: float | None
-    """Seconds from a design to a garment."""
+    catalogue: CatalogueRates | None
     equilibrium: tuple[float, float] | None
     """(c, p): seconds for a simulated shape are c (vertices / 3581)^p, one process on the whole device."""
 
 
-def rates(record: Mapping[str, Any], cpu_price: float, gpu_price: float) -> Rates | None:
-    """Rates of a record, or None where it has no drape in float32."""
+def rates(
+    record: Mapping[str, Any], catalogues: Mapping[str, CatalogueRates], cpu_price: float, gpu_price: float
+) -> Rates | None:
+    """Rates of a record of `compare`, or None where neither catalogue nor simulation was measured on its device.
+
+    Args:
+        record: Of `compare`.
+        catalogues: By device, from `load_catalogues`.
+        cpu_price: Euros for a core and an hour.
+        gpu_price: Euros for a GPU and an hour.
+    """
     timed = [cell for cell in record["cells"] if "ms" in cell and cell["precision"] == "float32"]
-    drapes = [c for c in timed if (c["subject"], c["config"]) == ("drape", "small")]
-    at = [c for c in drapes if c["vertices"] == record["config"]["at_vertices"]] or drapes
-    if not at:
-        return None
-    best = max(at, key=lambda c: c["per_second"])
     cpu = record["environment"]["platform"] == "cpu"
-    prepared = [c["ms"] for c in timed if c["subject"] == "prepare"]
-    return Rates(
+    found = Rates(
         device(record),
         record["environment"]["platform"],
+        record["environment"]["cpu_cores"] if cpu else 1,
         cpu_price * record["environment"]["cpu_cores"] if cpu else gpu_price,
-        best["per_second"],
-        best["vertices"],
-        1e-3 * max(prepared) if prepared else None,
+        catalogues.get(device(record)),
         growth([(c["vertices"], 1e-3 * c["ms"]) for c in timed if c["subject"] == "full equilibrium"]),
     )
+    return None if found.catalogue is None and found.equilibrium is None else found
+
+
+def load_catalogues(folder: Path) -> dict[str, CatalogueRates]:
+    """What records of `catalogue` say, by device."""
+    found = {}
+    for path in sorted(folder.glob("catalogue-*.json")):
+        record = json.loads(path.read_text(encoding="utf-8"))
+
+        def mean(name: str, record: Mapping[str, Any] = record) -> float:
+            return float(np.mean([row[name] for row in record["rows"]]))
+
+        drape, alone = (1e-3 * mean(f"{variant}, ms a drape") for variant in VARIANTS)
+        found[device(record)] = CatalogueRates(1e-3 * mean("prepare, ms"), drape, alone, mean("file, bytes a drape"))
+    return found
 
 
 def growth(points: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
@@ -113,20 +143,22 @@ def size(number: float) -> str:
 
 def catalogue_rows(rate: Rates) -> list[dict[str, Any]]:
     """Draping catalogues of several sizes on one device."""
-    rows = []
+    assert rate.catalogue is not None
+    core, rows = rate.catalogue, []
     for garments, bodies in CATALOGUES:
-        prepare = garments * (rate.prepare or 0.0)
-        draping = garments * bodies / rate.drapes
-        total = prepare + draping
+        drapes = garments * bodies
+        prepare = garments * -(-bodies // BLOCK) * core.prepare / rate.cores
+        guaranteed, alone = (prepare + drapes * each / rate.cores for each in (core.drape, core.alone))
+        euros = guaranteed / 3600 * rate.price
         rows.append(
             {
                 "garments × bodies": f"{garments:,} × {bodies:,}",
-                "prepare": hours(prepare) if rate.prepare else "not measured",
-                "drape": hours(draping),
-                "both": hours(total),
-                "euros": f"{total / 3600 * rate.price:.3g}",
-                "drapes per euro": f"{garments * bodies / max(total / 3600 * rate.price, 1e-12):,.0f}",
-                "vertices in float32": size(garments * bodies * rate.drape_vertices * BYTES),
+                "prepare": hours(prepare),
+                "in all": hours(guaranteed),
+                "euros": f"{euros:.3g}",
+                "drapes per euro": f"{drapes / max(euros, 1e-12):,.0f}",
+                "in all, draped alone": hours(alone),
+                "files": size(drapes * core.file),
             }
         )
     return rows
@@ -185,21 +217,29 @@ def page(found: Sequence[Rates], training: Mapping[str, Any], config: Config) ->
     parts = [
         "# Cost",
         "Made by `python -m benchmarks cost` from measured numbers: the records of `python -m benchmarks compare` and "
-        f"the training record in the shipped weights. Prices are assumptions: {config.cpu_price:g} € for a core and an "
-        f"hour, {config.gpu_price:g} € for a GPU and an hour. Devices that have not been measured are not here.",
+        "`catalogue`, and the training record in the shipped weights. Prices are assumptions: "
+        f"{config.cpu_price:g} € for a core and an hour, {config.gpu_price:g} € for a GPU and an hour. Devices that "
+        "have not been measured are not here.",
         "Everything is a list of independent pieces: a garment with a block of bodies, a garment with a fabric and a "
         "ray of bodies. N devices take an N-th of the time for the same money, as long as there are more pieces than "
         "devices. Time grows linearly with garments and with bodies; with vertices as measured.",
     ]
     for rate in found:
-        cores = "" if rate.platform == "gpu" else f", {rate.price:.2f} € an hour with all its cores"
-        parts += [
-            f"## {rate.name}",
-            f"{rate.drapes:.3g} drapes a second at {rate.drape_vertices:,} vertices (`small`){cores}: "
-            f"{3600 * rate.drapes:,.0f} an hour, {3600 * rate.drapes / rate.price:,.0f} for a euro.",
-            "### Draping a catalogue",
-            table(catalogue_rows(rate)),
-        ]
+        parts += [f"## {rate.name}", f"{rate.price:.2f} € an hour with all its {rate.cores} cores."]
+        if rate.platform == "gpu":
+            parts[-1] = f"{rate.price:.2f} € an hour."
+        parts += ["### Draping a catalogue"]
+        if rate.catalogue is None:
+            parts += ["Not measured here (`python -m benchmarks catalogue`)."]
+        else:
+            core = rate.catalogue
+            parts += [
+                f"`tryon catalogue`, {BLOCK} bodies a block: a core drapes {1 / core.drape:.3g} bodies a second, "
+                "pushed out, measured and judged, or "
+                f"{1 / core.alone:.3g} with neither (`--no-push-out --no-fit`); "
+                f"a garment is prepared in {core.prepare:.2g} s for each block.",
+                table(catalogue_rows(rate)),
+            ]
         if rate.equilibrium:
             parts += [
                 "### Simulating a dataset",
@@ -218,8 +258,7 @@ def page(found: Sequence[Rates], training: Mapping[str, Any], config: Config) ->
         'XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1" \\\n'
         "    dask worker tcp://HOST:8786 --nworkers 16 --nthreads 1 --memory-limit 0      # every machine\n"
         "python -m experiments simulate --out DATA --scheduler tcp://HOST:8786\n"
-        "python -m experiments drape_catalogue --out DRAPES --garments 100000 --bodies 1000 "
-        "--scheduler tcp://HOST:8786\n"
+        "tryon catalogue --garments designs.csv --bodies bodies.csv --out DRAPES --scheduler tcp://HOST:8786\n"
         "```",
         "Each piece is a file that is written in one step. What a lost worker was doing is given to another; what is "
         "done stays done; `checksums.txt` is the same however many worked.",
@@ -235,10 +274,11 @@ def main(config: Config) -> None:
     """Write the page."""
     check_range("cpu_price", config.cpu_price, 1e-6, 1e6)
     check_range("gpu_price", config.gpu_price, 1e-6, 1e6)
-    found = [rates(record, config.cpu_price, config.gpu_price) for record in load_records(config.results)]
+    catalogues = load_catalogues(config.results)
+    found = [rates(r, catalogues, config.cpu_price, config.gpu_price) for r in load_records(config.results)]
     known = [rate for rate in found if rate is not None]
     if not known:
-        raise ValueError(f"no record in {str(config.results)!r} has timed the drape of `small`")
+        raise ValueError(f"no record in {str(config.results)!r} has timed a catalogue or a simulation")
     with resources.as_file(resources.files("tryon_jax") / "data" / "models" / "small.safetensors") as path:
         training = read_record(path).get("training", {})
     write_text(config.out, page(known, training, config))

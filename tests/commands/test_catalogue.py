@@ -2,6 +2,7 @@
 
 import csv
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import trimesh
 from tests.flat_model import flat_model
 from tryon_jax.cli import main
 from tryon_jax.commands import _catalogue, catalogue
+from tryon_jax.commands._request import Request
 from tryon_jax.training.dataset import load_arrays
 from tryon_jax.tryon import save_model
 from tryon_jax.wear.dressed import DressedBody
@@ -35,6 +37,16 @@ def lists(tmp_path, monkeypatch):
 def arguments(lists, weights, out, *more):
     paths = ["--garments", str(lists[0]), "--bodies", str(lists[1]), "--out", str(out), "--weights", weights]
     return ["catalogue", *paths, "--processes", "1", *more]
+
+
+def test_designs_come_block_by_block_and_meshes_mesh_by_mesh(tmp_path):
+    """So bodies are made once for many garments, and what is dear to prepare is prepared once."""
+    garments = [Request("one", mesh=tmp_path / "one.obj"), Request("two"), Request("three"), Request("four")]
+    garments[2] = replace(garments[2], mesh=tmp_path / "three.obj")
+    betas = np.zeros((5, 2), np.float32)
+    options = _catalogue.Options(fabric="gray-interlock", block=3)
+    tasks = _catalogue.open_catalogue(tmp_path, _catalogue.Catalogue(garments, list("abcde"), betas, options))
+    assert [task[1:] for task in tasks] == [(0, 0), (0, 1), (2, 0), (2, 1), (1, 0), (3, 0), (1, 1), (3, 1)]
 
 
 # Flat panels cut through the body, which is far from what a push can mend.
@@ -79,7 +91,7 @@ def test_every_garment_is_draped_on_every_body_and_nothing_twice(lists, weights,
 def test_what_is_written_is_as_near_as_the_table_says(lists, weights, tmp_path):
     """Fields of a random size in place of zero ones: drapes that differ by centimetres."""
     rng = np.random.default_rng(0)
-    session = _catalogue.open_session(weights, None)
+    session = _catalogue.open_session(weights, None, 4)
     prepared = session.prepare("tank")
     vertices = prepared.garment.mean_vertices
     drapes = [vertices + 0.05 * rng.normal(size=vertices.shape).astype(np.float32) for _ in range(3)]

@@ -31,6 +31,8 @@ from tryon_jax.wear.dressed import PARTS, DressedBody
 from tryon_jax.wear.prepared import PreparedGarment
 from tryon_jax.wear.session import Session
 
+MOST_KEPT = 128
+"""Bodies that a process keeps with their surfaces, 7 MB each, at most."""
 NOT_JUDGED = "not judged"
 """Outcome of a drape whose fit was not asked for."""
 
@@ -54,7 +56,7 @@ class Options:
     format: str = "npz"
     body_mesh: bool = False
     """Whether a GLB file has the body too."""
-    block: int = 256
+    block: int = 64
     """Bodies of a block."""
 
 
@@ -140,7 +142,8 @@ def open_catalogue(root: Path, catalogue: Catalogue) -> list[tuple[str, int, int
     """Create the folder, or check that it belongs to the same bodies and options, and list the blocks that are missing.
 
     Returns:
-        Arguments of `drape_block` for each, garment by garment.
+        Arguments of `drape_block` for each. Garments cut from designs come block by block, so that a process makes its
+        bodies once for many of them; meshes, which are dear to prepare, come mesh by mesh.
 
     Raises:
         ValueError: The folder belongs to another catalogue, or has a file of this name that is none.
@@ -158,7 +161,10 @@ def open_catalogue(root: Path, catalogue: Catalogue) -> list[tuple[str, int, int
         if different:
             raise ValueError(f"{str(root)!r} holds another catalogue: {', '.join(different)}; choose another folder")
     write_text(path, text)
-    tasks = [(g, b) for g in range(len(catalogue.garments)) for b in range(catalogue.blocks)]
+    meshes = [k for k, garment in enumerate(catalogue.garments) if garment.mesh is not None]
+    designs = [k for k, garment in enumerate(catalogue.garments) if garment.mesh is None]
+    tasks = [(g, b) for g in meshes for b in range(catalogue.blocks)]
+    tasks += [(g, b) for b in range(catalogue.blocks) for g in designs]
     return [(str(root), g, b) for g, b in tasks if not catalogue.is_done(root, g, b)]
 
 
@@ -178,7 +184,7 @@ def drape_block(root: str, garment: int, block: int) -> str:
     if catalogue.is_done(folder, garment, block):
         return ""
     options, request = catalogue.options, catalogue.garments[garment]
-    session = open_session(options.weights, options.triangle_area)
+    session = open_session(options.weights, options.triangle_area, options.block)
     design = None if request.mesh is not None else resolve_design(session.space, request.cut)
     prepared = session.prepare(design, mesh=request.mesh, seed=options.seed)
     fabric = request.fabric or options.fabric
@@ -282,9 +288,10 @@ def join_tables(root: Path, catalogue: Catalogue) -> Summary:
 
 
 @functools.lru_cache(maxsize=1)
-def open_session(weights: str, triangle_area: float | None) -> Session:
-    """The session of a process; `weights` as in `Options`."""
-    return Session(load_model(weights) if weights else load_pretrained(), triangle_area=triangle_area)
+def open_session(weights: str, triangle_area: float | None, block: int) -> Session:
+    """The session of a process, which keeps the bodies of a block; the rest as in `Options`."""
+    model = load_model(weights) if weights else load_pretrained()
+    return Session(model, triangle_area=triangle_area, bodies_kept=min(block, MOST_KEPT))
 
 
 @functools.lru_cache(maxsize=1)

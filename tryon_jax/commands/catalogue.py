@@ -47,8 +47,8 @@ class Config:
     """Measure and judge every drape; --no-fit is faster, and nothing is refused."""
     gate: bool = True
     """Leave out drapes that are torn or lie in the body; with --no-gate they are written, and the table says it."""
-    block: int = 256
-    """Bodies that are draped at once and share a file."""
+    block: int = 64
+    """Bodies that are draped at once and share a file; up to 128 are kept for the next garment (7 MB each)."""
     seed: int = 0
     """Another seed gives other meshes of the same garments."""
     triangle_area: float | None = None
@@ -77,7 +77,7 @@ def main(config: Config) -> None:
     garments, bodies = _read(config)
     weights = "" if config.weights is None else str(config.weights.expanduser().resolve())
     area = None if config.triangle_area is None else 1e-4 * config.triangle_area
-    session = open_session(weights, area)
+    session = open_session(weights, area, config.block)
     options = Options(
         fabric=config.fabric or session.fabrics[0],
         weights=weights,

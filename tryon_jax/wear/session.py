@@ -57,6 +57,7 @@ class Session(SessionGarments):
         body: Body | None = None,
         triangle_area: float | None = None,
         one_size: bool = False,
+        bodies_kept: int = 8,
     ) -> None:
         """Get ready; nothing is compiled before it is needed.
 
@@ -68,11 +69,12 @@ class Session(SessionGarments):
                 what the networks were trained on.
             one_size: Pad the garments of all designs to the size of the largest, so that another design compiles
                 nothing.
+            bodies_kept: Body shapes that are kept with their surfaces, the last ones asked for; 7 MB each.
 
         Raises:
             ValueError: `body` is not closed, or lacks a joint or a landmark.
         """
-        super().__init__(load_pretrained() if model is None else model, body, triangle_area, one_size)
+        super().__init__(load_pretrained() if model is None else model, body, bodies_kept, triangle_area, one_size)
         self._drape = jax.jit(drape_stages, static_argnames="fabric")
         self._make_fields = jax.jit(drape_fields, static_argnames="fabric")
         # A fabric by its numbers is an argument like any other: another one compiles nothing.

@@ -23,14 +23,12 @@ from tryon_jax.wear.stopwatch import Stopwatch
 Betas = Float[ArrayLike, " b"] | Sequence[float]
 """At most `Session.num_betas` numbers, standard deviations; those left out are 0."""
 
-_SHAPES = 8
-
 
 class SessionBodies:
     """The body that a session dresses, in any shape; the base of `Session`."""
 
-    def __init__(self, model: TryOnModel, body: Body | None) -> None:
-        """Dress `body`, or the networks' own one where it is None.
+    def __init__(self, model: TryOnModel, body: Body | None, kept: int) -> None:
+        """Dress `body`, or the networks' own one where it is None, and keep the last `kept` shapes.
 
         Raises:
             ValueError: `body` is not closed, or lacks a joint or a landmark.
@@ -42,7 +40,7 @@ class SessionBodies:
         self.body = model.body if body is None else body
         self._vertices = jax.jit(lambda body, betas: shape_body(body, betas)[0])
         self._measure = jax.jit(measure_vertices)
-        self._shapes: LastUsed[ShapedBody] = LastUsed(_SHAPES)
+        self._shapes: LastUsed[ShapedBody] = LastUsed(kept)
 
     @property
     def num_betas(self) -> int:

@@ -27,16 +27,19 @@ _GARMENTS = 16
 class SessionGarments(SessionBodies):
     """The garments that a session drapes on its bodies; the base of `Session`."""
 
-    def __init__(self, model: TryOnModel, body: Body | None, triangle_area: float | None, one_size: bool) -> None:
+    def __init__(
+        self, model: TryOnModel, body: Body | None, bodies_kept: int, triangle_area: float | None, one_size: bool
+    ) -> None:
         """Prepare nothing yet.
 
         Args:
             model: Drapes the garments.
             body: A body to dress in place of the networks' own one.
+            bodies_kept: Body shapes that are kept.
             triangle_area: Mean area of the triangles of garments, square metres; that of the training data when None.
             one_size: Pad the garments of all designs to the size of the largest.
         """
-        super().__init__(model, body)
+        super().__init__(model, body, bodies_kept)
         self.space = config_space(model.config)
         self.triangle_area = model.config.target_area if triangle_area is None else triangle_area
         self._one_size = one_size
