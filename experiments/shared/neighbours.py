@@ -106,7 +106,9 @@ class NearestGarments:
         self.betas = betas
         self._center, self._half = manifest.space.mean, 0.5 * (manifest.space.maximum - manifest.space.minimum)
         extent = np.array(EXTENT[: betas.shape[1]])[None]
-        keys, moves, known = [], [], []
+        keys, known, first = [], [], 0
+        # Filled in place: with hundreds of garments these are gigabytes.
+        self._moves = np.empty((len(betas), sum(len(drapes.mean) for drapes in garments), 3), np.float32)
         for drapes in garments:
             label, seed = drapes.name.rsplit("-", 1)
             if manifest.split(label, int(seed)) != "training":
@@ -117,12 +119,14 @@ class NearestGarments:
             shapes, wanted = drapes.betas[rows] / extent, betas / extent
             weights = shape_weights(shapes.astype(np.float64), wanted.astype(np.float64)).astype(np.float32)
             displacement = drapes.vertices[rows] - drapes.mean[None]
-            moves.append(np.einsum("sk,kvc->svc", weights, displacement, optimize=True))
+            here = slice(first, first + len(drapes.mean))
+            first = here.stop
+            self._moves[:, here] = np.einsum("sk,kvc->svc", weights, displacement, optimize=True)
             near = np.linalg.norm(wanted[:, None] - shapes[None], axis=-1).min(axis=1) <= REACH
             known.append(np.broadcast_to(near[:, None], (len(betas), len(drapes.mean))))
             design = np.broadcast_to(self._scaled(drapes.design), (len(drapes.mean), len(self._half)))
             keys.append(np.concatenate([drapes.mean, design], axis=1))
-        self._keys, self._moves = np.concatenate(keys), np.concatenate(moves, axis=1)
+        self._keys, self._moves = np.concatenate(keys), self._moves[:, :first]
         self._known = np.concatenate(known, axis=1)
         self._trees: dict[tuple[bytes, int], cKDTree] = {}
 
