@@ -23,6 +23,8 @@ from tryon_jax.training.thin_plate import thin_plate
 from tryon_jax.tryon import TryOnModel
 
 NEIGHBOURS = 8
+PROBED = 16
+"""Times as many vertices are looked at first: those of garments that do not know a shape are passed over."""
 DESIGN_SCALE = 0.1
 """Metres that a design parameter's half range counts for in the key with designs."""
 REACH = 0.3
@@ -128,7 +130,7 @@ class NearestGarments:
             keys.append(np.concatenate([drapes.mean, design], axis=1))
         self._keys, self._moves = np.concatenate(keys), self._moves[:, :first]
         self._known = np.concatenate(known, axis=1)
-        self._trees: dict[tuple[bytes, int], cKDTree] = {}
+        self._trees: dict[int, cKDTree] = {}
 
     def __call__(
         self, samples: SimulatedGarment, rows: np.ndarray, with_design: bool, neighbours: int = NEIGHBOURS
@@ -137,28 +139,43 @@ class NearestGarments:
         mean = samples.garment.mean_vertices
         design = np.broadcast_to(self._scaled(np.asarray(samples.garment.design)), (len(mean), len(self._half)))
         key = np.concatenate([mean, design], axis=1)[:, : self._width(with_design)]
-        searched: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        tree = self._tree(self._width(with_design))
+        near = tree.query(key, k=np.arange(1, min(PROBED * neighbours, tree.n) + 1))
         found = []
         for beta in samples.betas[rows]:
             shape = int(np.abs(self.betas - beta[None]).sum(-1).argmin())
-            # Most shapes are known of the same garments and share a tree and a search.
-            name = self._known[shape].tobytes()
-            if name not in searched:
-                known = np.flatnonzero(self._known[shape])
-                distance, index = self._tree(name, known, self._width(with_design)).query(key, k=neighbours)
-                weights = 1.0 / (distance**2 + _SOFTENING**2)
-                searched[name] = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32), known[index]
-            weights, index = searched[name]
+            distance, index = self._known_ones(tree, key, near, shape, neighbours)
+            weights = 1.0 / (distance**2 + _SOFTENING**2)
+            weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
             found.append(mean + np.einsum("vk,vkc->vc", weights, self._moves[shape][index]))
         return np.stack(found)
+
+    def _known_ones(
+        self, tree: cKDTree, key: np.ndarray, near: tuple[np.ndarray, np.ndarray], shape: int, neighbours: int
+    ) -> tuple[Float[np.ndarray, "V k"], Int[np.ndarray, "V k"]]:
+        """The closest vertices that are known at a shape: among those that are close, else among more of them."""
+        known = self._known[shape]
+        wanted = min(neighbours, int(known.sum()))
+        distance, index = np.zeros((len(key), wanted)), np.zeros((len(key), wanted), np.int64)
+        rows, (far, at) = np.arange(len(key)), near
+        while True:
+            there = known[at]
+            enough = there.sum(axis=1) >= wanted
+            taken = there[enough] & (there[enough].cumsum(axis=1) <= wanted)
+            distance[rows[enough]] = far[enough][taken].reshape(-1, wanted)
+            index[rows[enough]] = at[enough][taken].reshape(-1, wanted)
+            rows = rows[~enough]
+            if not len(rows):
+                return distance, index
+            far, at = tree.query(key[rows], k=np.arange(1, min(4 * at.shape[1], tree.n) + 1))
 
     def _width(self, with_design: bool) -> int:
         return self._keys.shape[1] if with_design else 3
 
-    def _tree(self, name: bytes, known: np.ndarray, width: int) -> cKDTree:
-        if (name, width) not in self._trees:
-            self._trees[name, width] = cKDTree(self._keys[known, :width])
-        return self._trees[name, width]
+    def _tree(self, width: int) -> cKDTree:
+        if width not in self._trees:
+            self._trees[width] = cKDTree(self._keys[:, :width])
+        return self._trees[width]
 
     def _scaled(self, design: np.ndarray) -> np.ndarray:
         return DESIGN_SCALE * (design - self._center) / self._half
