@@ -100,11 +100,11 @@ class SessionGarments(SessionBodies):
     def _moved(self, near: PreparedGarment, wanted: Design, seed: int, watch: Stopwatch) -> PreparedGarment | None:
         """The garment on the triangles of a near design; None where that one is too far or was made otherwise."""
         mesh = near.mesh
-        if mesh is None or mesh.seed != seed or mesh.target_area != self.triangle_area:
+        if mesh is None or near.garment.own is not None or (mesh.seed, mesh.target_area) != (seed, self.triangle_area):
             return None
         with watch.stage("pattern and mesh"):
             cut = mesh_of_near_design(self.space, mesh, wanted)
-        if cut is None or near.garment.own is not None:
+        if cut is None:
             return None
         with watch.stage("graph"):
             return prepared_near(self.model, cut, near)
