@@ -28,7 +28,12 @@ class SessionBodies:
     """The body that a session dresses, in any shape; the base of `Session`."""
 
     def __init__(self, model: TryOnModel, body: Body | None, kept: int) -> None:
-        """Dress `body`, or the networks' own one where it is None, and keep the last `kept` shapes.
+        """Prepare nothing but another body.
+
+        Args:
+            model: Networks and their body.
+            body: A body to dress in place of the networks' own one.
+            kept: Body shapes that are kept.
 
         Raises:
             ValueError: `body` is not closed, or lacks a joint or a landmark.
