@@ -258,7 +258,8 @@ def page(found: Sequence[Rates], training: Mapping[str, Any], config: Config) ->
         'XLA_FLAGS="--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1" \\\n'
         "    dask worker tcp://HOST:8786 --nworkers 16 --nthreads 1 --memory-limit 0      # every machine\n"
         "python -m experiments simulate --out DATA --scheduler tcp://HOST:8786\n"
-        "tryon catalogue --garments designs.csv --bodies bodies.csv --out DRAPES --scheduler tcp://HOST:8786\n"
+        "python -m experiments drape_catalogue --out DRAPES --garments 100000 --bodies 1000 "
+        "--scheduler tcp://HOST:8786\n"
         "```",
         "Each piece is a file that is written in one step. What a lost worker was doing is given to another; what is "
         "done stays done; `checksums.txt` is the same however many worked.",
