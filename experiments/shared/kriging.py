@@ -1,7 +1,6 @@
 """Prediction without networks: training drapes interpolated over designs and body shapes at once by kriging.
 
-Every drape is a field of displacements from the mean drape. Read at the same places of the pattern (points of the mean
-design's mesh, found through the template), the fields of all training samples are regressed on design and betas by a
+Every drape is a field of displacements from the mean drape. Read at the same places of the template, the fields of all training samples are regressed on design and betas by a
 Gaussian process with one kernel for all coordinates, so that a prediction is a weighted sum of training drapes. The
 lengths of the kernel are those that predict the validation designs best; these are not fitted, as for the networks.
 """
@@ -17,16 +16,16 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from experiments.shared.evaluate import Stack
-from experiments.shared.neighbours import Drapes
+from experiments.shared.neighbours import Drapes, distance_weights
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.protocol import EXTENT
 
 EVERY = 3
-"""One vertex of so many of the mean design's mesh is a place where fields are read: 3 cm apart, finer than folds."""
+"""Of the fitted garment with the most vertices, one vertex of so many is a place where fields are read: some 3 cm apart,
+closer than folds."""
 BLENDED = 4
 """Vertices that are blended where a field is read."""
-_SOFTENING = 2e-3
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Kernel:
     """Variance that no neighbour shares, over the variance that all share."""
 
 
-KERNELS = tuple(Kernel(*values) for values in product((0.5, 0.8, 1.2), (1.0, 1.6), (0.02, 0.1)))
+KERNELS = tuple(Kernel(*values) for values in product((0.5, 0.8, 1.2), (0.5, 0.7, 1.0, 1.6), (0.004, 0.02, 0.1)))
 """Those that are tried."""
 
 
@@ -85,9 +84,10 @@ class KrigedGarments:
         if len(codes) and len(kernels) > 1:
             errors = []
             for kernel in kernels:
-                missed = (self._predict(codes, kernel) - fields).reshape(len(codes), -1, 3)
+                missed = (self._predict(codes, kernel, self._duals(kernel)) - fields).reshape(len(codes), -1, 3)
                 errors.append(float(np.linalg.norm(missed, axis=-1).mean()))
             self.kernel = kernels[int(np.argmin(errors))]
+        self._dual = self._duals(self.kernel)
 
     def __call__(self, samples: SimulatedGarment, rows: np.ndarray) -> Stack:
         """Drapes of a garment at the shapes of its samples `rows`, metres.
@@ -110,7 +110,7 @@ class KrigedGarments:
             design: Parameters of one design, metres.
             betas: Body shapes.
         """
-        return self._predict(self._code(design, betas), self.kernel).reshape(len(betas), -1, 3)
+        return self._predict(self._code(design, betas), self.kernel, self._dual).reshape(len(betas), -1, 3)
 
     def _of(self, drapes: Drapes) -> Float[np.ndarray, "V 3"]:
         """Places of a simulated garment's vertices."""
@@ -136,13 +136,18 @@ class KrigedGarments:
             raise ValueError("kriging needs at least one good drape")
         return np.concatenate(codes), np.concatenate(fields).astype(np.float32)
 
-    def _predict(self, codes: Float[np.ndarray, "N c"], kernel: Kernel) -> Float[np.ndarray, "N D"]:
-        """Displacements at the common places."""
+    def _duals(self, kernel: Kernel) -> Float[np.ndarray, "S D"]:
+        """What the covariances with the training samples weight."""
         here = self._covariance(self._codes, self._codes, kernel)
         here[np.diag_indices(len(here))] += kernel.nugget
         factor = scipy.linalg.cho_factor(here, lower=True, overwrite_a=True, check_finite=False)
-        weights = scipy.linalg.cho_solve(factor, self._covariance(self._codes, codes, kernel), check_finite=False)
-        return self._fields_mean + weights.T.astype(np.float32) @ (self._fields - self._fields_mean)
+        return scipy.linalg.cho_solve(factor, self._fields - self._fields_mean, check_finite=False).astype(np.float32)
+
+    def _predict(
+        self, codes: Float[np.ndarray, "N c"], kernel: Kernel, duals: Float[np.ndarray, "S D"]
+    ) -> Float[np.ndarray, "N D"]:
+        """Displacements at the common places."""
+        return self._fields_mean + self._covariance(codes, self._codes, kernel).astype(np.float32) @ duals
 
     def _covariance(self, one: np.ndarray, other: np.ndarray, kernel: Kernel) -> Float[np.ndarray, "N M"]:
         count = len(self._half)
@@ -160,5 +165,4 @@ def blend(
         points: Where to read.
     """
     distance, index = cKDTree(vertices).query(points, k=np.arange(1, min(BLENDED, len(vertices)) + 1))
-    weights = 1.0 / (distance**2 + _SOFTENING**2)
-    return index, (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+    return index, distance_weights(distance)

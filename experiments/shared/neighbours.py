@@ -94,6 +94,12 @@ def shape_weights(known: Float[np.ndarray, "K b"], wanted: Float[np.ndarray, "S 
     return np.where(wild[:, None], closest, weights)
 
 
+def distance_weights(distance: Float[np.ndarray, "V k"]) -> Float[np.ndarray, "V k"]:
+    """Weights of k neighbours by the inverse squares of their distances, rounded off at two millimetres; sum 1."""
+    weights = 1.0 / (distance**2 + _SOFTENING**2)
+    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
 class NearestGarments:
     """The training garments' displacements at given body shapes, found by position in the mean drape."""
 
@@ -145,9 +151,7 @@ class NearestGarments:
         for beta in samples.betas[rows]:
             shape = int(np.abs(self.betas - beta[None]).sum(-1).argmin())
             distance, index = self._known_ones(tree, key, near, shape, neighbours)
-            weights = 1.0 / (distance**2 + _SOFTENING**2)
-            weights = (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
-            found.append(mean + np.einsum("vk,vkc->vc", weights, self._moves[shape][index]))
+            found.append(mean + np.einsum("vk,vkc->vc", distance_weights(distance), self._moves[shape][index]))
         return np.stack(found)
 
     def _known_ones(
@@ -155,6 +159,8 @@ class NearestGarments:
     ) -> tuple[Float[np.ndarray, "V k"], Int[np.ndarray, "V k"]]:
         """The closest vertices that are known at a shape: among those that are close, else among more of them."""
         known = self._known[shape]
+        if not known.any():
+            raise ValueError(f"no training garment knows a body near betas {self.betas[shape]}")
         wanted = min(neighbours, int(known.sum()))
         distance, index = np.zeros((len(key), wanted)), np.zeros((len(key), wanted), np.int64)
         rows, (far, at) = np.arange(len(key)), near
