@@ -18,6 +18,7 @@ from benchmarks.record import RESULTS
 from benchmarks.report import device, load_records
 from measuring.records import table
 from tryon_jax.checks import check_range
+from tryon_jax.commands._catalogue import Options
 from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.recipes import chain
@@ -28,7 +29,7 @@ CATALOGUES = ((19, 201), (100, 100), (1_000, 100), (1_000, 1_000), (10_000, 1_00
 """Garments × bodies."""
 DATASETS = ((38, 2, 201), (76, 2, 201), (200, 2, 201), (1_000, 2, 201))
 """Garments (designs × topologies), fabrics, shapes."""
-BLOCK = 64
+BLOCK = Options.block
 """Bodies for which a garment is prepared once: a block of a catalogue."""
 
 
@@ -225,10 +226,8 @@ def page(found: Sequence[Rates], training: Mapping[str, Any], config: Config) ->
         "devices. Time grows linearly with garments and with bodies; with vertices as measured.",
     ]
     for rate in found:
-        parts += [f"## {rate.name}", f"{rate.price:.2f} € an hour with all its {rate.cores} cores."]
-        if rate.platform == "gpu":
-            parts[-1] = f"{rate.price:.2f} € an hour."
-        parts += ["### Draping a catalogue"]
+        cores = "" if rate.platform == "gpu" else f" with all its {rate.cores} cores"
+        parts += [f"## {rate.name}", f"{rate.price:.2f} € an hour{cores}.", "### Draping a catalogue"]
         if rate.catalogue is None:
             parts += ["Not measured here (`python -m benchmarks catalogue`)."]
         else:

@@ -23,7 +23,7 @@ class Config:
     """Which of its designs; topologies: the unseen ones of one training design, on the mean body."""
     topology_design: str = "tshirt"
     """Design of `--part topologies`."""
-    designs: int = 600
+    designs: int = 300
     """At most so many of them, the first ones."""
     bodies: int = 5
     """Body shapes of each: the mean one, and one on each of the first rays."""

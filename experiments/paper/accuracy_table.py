@@ -19,7 +19,7 @@ ROWS = {
     "mean detail": "M_smooth + detail of M̄: R_fine predicting nothing",
     "carried offset": "M_smooth + offset simulated on the mean body",
     "pipeline": "full pipeline: M_fine",
-    "refined": "full pipeline and a few steps of the solver (`tryon drape --refine 5`)",
+    "refined": "full pipeline and a few steps of the solver (`tryon drape --refine`)",
     "paper form": "the same in the paper's form, betas at each node, trained for as long",
     "dressed": "full pipeline against drapes that were dressed by themselves",
     "dressed, simulation": "the simulation against drapes that were dressed by themselves",

@@ -1,8 +1,9 @@
 """Prediction without networks: training drapes interpolated over designs and body shapes at once by kriging.
 
-Every drape is a field of displacements from the mean drape. Read at the same places of the template, the fields of all training samples are regressed on design and betas by a
-Gaussian process with one kernel for all coordinates, so that a prediction is a weighted sum of training drapes. The
-lengths of the kernel are those that predict the validation designs best; these are not fitted, as for the networks.
+Every drape is a field of displacements from the mean drape. Read at the same places of the template, the fields of all
+training samples are regressed on design and betas by a Gaussian process with one kernel for all coordinates, so that a
+prediction is a weighted sum of training drapes. The lengths of the kernel are those that predict the validation designs
+best; these are not fitted, as for the networks.
 """
 
 from collections.abc import Sequence
@@ -22,8 +23,8 @@ from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.protocol import EXTENT
 
 EVERY = 3
-"""Of the fitted garment with the most vertices, one vertex of so many is a place where fields are read: some 3 cm apart,
-closer than folds."""
+"""Of the fitted garment with the most vertices, one vertex of so many is a place where fields are read: some 3 cm
+apart."""
 BLENDED = 4
 """Vertices that are blended where a field is read."""
 

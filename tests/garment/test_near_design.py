@@ -42,4 +42,6 @@ def test_a_design_that_is_too_far_is_refused():
     far = SPACE.from_values(SPACE.maximum)
     assert mesh_of_near_design(SPACE, MESH, far) is None
     assert mesh_of_near_design(SPACE, MESH, OTHER, max_distortion=1.2) is None
-    assert 0 < MOST_DENSITY_CHANGE < 1
+    # Well shaped, but of too large triangles.
+    wider = SPACE.design("wider", sleeve_length=0.15, chest=1.02, length=0.64 * (1 + 1.5 * MOST_DENSITY_CHANGE))
+    assert mesh_of_near_design(SPACE, MESH, wider, max_distortion=10.0) is None

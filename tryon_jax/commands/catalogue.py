@@ -47,7 +47,7 @@ class Config:
     """Measure and judge every drape; --no-fit is faster, and nothing is refused."""
     gate: bool = True
     """Leave out drapes that are torn or lie in the body; with --no-gate they are written, and the table says it."""
-    block: int = 64
+    block: int = Options.block
     """Bodies that are draped at once and share a file; up to 128 are kept for the next garment (7 MB each)."""
     seed: int = 0
     """Another seed gives other meshes of the same garments."""

@@ -303,8 +303,10 @@ def draw_collisions(
         stage: R_fine; one of all fabrics sees random ones.
     """
     first = pool[int(rng.integers(len(pool)))]
-    group = [p for p in pool if array_shapes(p.garment) == array_shapes(first.garment)]
-    chosen = [first, *[group[i] for i in rng.integers(len(group), size=options.garments - 1)]]
+    chosen = [first]
+    if options.garments > 1:
+        group = [p for p in pool if array_shapes(p.garment) == array_shapes(first.garment)]
+        chosen += [group[i] for i in rng.integers(len(group), size=options.garments - 1)]
     betas = np.stack([random_betas(rng, options.shapes, extent) for _ in chosen])
     garments = stack_garments([p.garment for p in chosen])
     pooled = PooledGarment(garments, np.stack([p.nearest for p in chosen]), np.stack([p.rest for p in chosen]))

@@ -67,7 +67,7 @@ class SessionGarments(SessionBodies):
             label: What to call a mesh; by default its file's name.
             seed: Another seed gives another mesh of the same design.
             near: A garment of another design, from here. If the design is near, its triangles are moved with the
-                pattern, which takes a third of the time; the drape differs as that of another mesh does.
+                pattern, which takes a sixth of the time; the drape differs as that of another mesh does.
             stopwatch: Takes the time of "pattern and mesh" or "own mesh", and of "graph".
             progress: Told while a mesh settles.
 
