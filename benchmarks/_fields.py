@@ -12,7 +12,8 @@ from benchmarks._garments import garment_of, model_of
 from benchmarks._reference import ReferenceGraph, double
 from benchmarks._subjects import FRESH, Cell, Work, entries, generator, random_betas, rounding_mm, work_of_layers
 from tryon_jax.nets import PAPER
-from tryon_jax.tryon import Garment, Stage, TryOnModel, drape, load_pretrained
+from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.tryon import Garment, Stage, TryOnModel, drape, fine_of, load_pretrained
 
 
 @cache
@@ -26,7 +27,7 @@ class ReferenceFields:
 
     def __init__(self, model: TryOnModel, garment: Garment, fabric: str) -> None:
         config, graph = model.config, ReferenceGraph(garment)
-        stages = [double(model.smooth), double(model.fine[fabric])]
+        stages = [double(model.smooth), double(fine_of(model, fabric))]
         smoothed, vertices = graph.smooth(graph.vertices), graph.vertices
         detail, relative = vertices - smoothed, config.reference == "smoothed"
         parts = [vertices / config.position_scale, graph.skinning / config.weight_scale]
@@ -36,7 +37,11 @@ class ReferenceFields:
         self.mask, self._config, self._stages = graph.mask, config, stages
         self._offset = smoothed + detail if relative else vertices
         outputs = [graph.displacement(stage, x) for stage, x in zip(stages, both, strict=True)]
-        self._fields = [output.reshape(len(vertices), 3, -1) for output in outputs]
+        fields = [output.reshape(len(vertices), 3, -1) for output in outputs]
+        self._fields = [
+            values if stage.fabric_values is None else values @ _mixing(config, np.asarray(stage.fabric_values))
+            for stage, values in zip(stages, fields, strict=True)
+        ]
 
     def drape(self, betas: np.ndarray) -> np.ndarray:
         """M_fine on one body, metres, padded."""
@@ -46,6 +51,14 @@ class ReferenceFields:
         for stage, fields in zip(self._stages, self._fields, strict=True):
             found += fields @ _perceptron(stage, inputs)
         return found
+
+
+def _mixing(config: TryOnConfig, values: np.ndarray) -> np.ndarray:
+    """What makes fields of one fabric of those of all."""
+    k, j = np.array(config.field_pairs).T
+    mix = np.zeros((len(k), config.fields))
+    mix[np.arange(len(k)), k] = values[j]
+    return mix
 
 
 def _perceptron(stage: Stage, inputs: np.ndarray) -> np.ndarray:
@@ -84,7 +97,7 @@ def drape_with_fields(cell: Cell) -> Work:
             worst = max(worst, rounding_mm(np.asarray(found[b], np.float64)[reference.mask], exact))
         return worst
 
-    nets, nodes = [model.smooth.net, model.fine[fabric].net], garment.graph.num_nodes
+    nets, nodes = [model.smooth.net, fine_of(model, fabric).net], garment.graph.num_nodes
     flops, moved = work_of_layers(nets, nodes, 1, entries(garment), jnp.dtype(jnp.float32).itemsize)
     flops += 2.0 * len(nets) * cell.batch * nodes * 3 * config.fields
     moved += 12.0 * nodes * (cell.batch + len(nets) * config.fields)

@@ -85,6 +85,10 @@ SECTIONS = {
         "The paper does not give them. Short trainings of R_smooth that see equally many samples, judged on validation "
         "shapes and designs alone.",
     ),
+    "kernels": (
+        "Choice of the kernel",
+        "Kriged drapes of designs, which the paper does not have, judged on validation shapes and designs alone.",
+    ),
     "speed": (
         "Speed",
         "Claim of the paper: interactive rates. Here beside the simulator that made the data and beside what one "

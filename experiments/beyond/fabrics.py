@@ -10,7 +10,7 @@ from jaxtyping import Float
 from scipy.stats import spearmanr
 from tqdm import tqdm
 
-from experiments.shared.evaluate import body_vertices, case_names, open_model, spread
+from experiments.shared.evaluate import Pipeline, body_vertices, case_names, open_model, spread
 from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.contact.push_out import push_out
@@ -85,7 +85,7 @@ def main(config: Config) -> None:
     names = case_names(config.data, load_manifest(), config.garments)["unseen design"]
     if not names:
         raise ValueError("no unseen design is simulated: run `simulate --fabrics all --part unseen --rays 4` first")
-    drapes, alone = Fabrics(model, fabrics), Predictor(own.config, "fine")
+    drapes, alone = Fabrics(model, fabrics), Pipeline(own)
     rows: dict[str, dict[str, list[float]]] = {fabric: {} for fabric in fabrics}
     for name in tqdm(names, desc="garments", mininterval=2):
         garment = prepare_simulated(model, config.data, name)
@@ -100,8 +100,7 @@ def main(config: Config) -> None:
             found = {"told": drapes.drape(samples, chosen, fabric), "told nearest": drapes.drape(samples, chosen, near)}
             found["simulated nearest"] = _same_shapes(by_fabric[near], near, samples.betas[chosen], count)
             if fabric in own.fine:
-                smooth = drapes.smooth(own.smooth, garment, samples.betas[chosen])
-                found["one R_fine each"] = alone(own.fine[fabric], garment, samples.betas[chosen], smooth)[:, :count]
+                found["that fabric alone"] = alone(samples, chosen, (fabric,))[fabric].fine
             for kind, made in found.items():
                 errors = 1e3 * np.linalg.norm(made - truth, axis=-1).mean(axis=1)
                 rows[fabric].setdefault(kind, []).extend(errors[np.isfinite(errors)].tolist())
@@ -178,15 +177,15 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         f"{results['designs']} unseen designs on test shapes, mean distance from the simulation, mm. The R_fine sees "
         f"of a fabric {', '.join(FABRIC_NUMBERS[:-1])} and {FABRIC_NUMBERS[-1]}, from its measured tables. *As the "
         "nearest*: the same network is told the numbers of the most similar other trained fabric. *Simulated as the "
-        "nearest*: that fabric's own simulation in place of any prediction. *One R_fine each*: the shipped network of "
+        "nearest*: that fabric's own simulation in place of any prediction. *That fabric alone*: the shipped stages of "
         "that fabric alone, which had seen a few designs fewer.",
         "",
-        "| fabric | trained on | told the fabric | as the nearest | simulated as the nearest | one R_fine each | "
+        "| fabric | trained on | told the fabric | as the nearest | simulated as the nearest | that fabric alone | "
         "curvature predicted, 1/m | simulated |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for fabric, row in sorted(table.items(), key=lambda entry: entry[0] not in trained):
-        kinds = ("told", "told nearest", "simulated nearest", "one R_fine each")
+        kinds = ("told", "told nearest", "simulated nearest", "that fabric alone")
         cells = " | ".join(f"{row[kind]:.2f}" if kind in row else "–" for kind in kinds)
         folds = " | ".join(f"{row[f'curvature {kind}']:.1f}" for kind in ("predicted", "simulated"))
         lines.append(f"| {fabric} | {'yes' if fabric in trained else '**no**'} | {cells} | {folds} |")

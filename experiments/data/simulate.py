@@ -30,7 +30,7 @@ class Config:
     """Rays of body shapes (at most 25 with two betas, 2 with one); the first ones cover all directions evenly.
     Additional designs need no more than eight, each its own."""
     designs: int = 300
-    """With `--part additional`: how many of them, the first ones; there are 600."""
+    """With `--part additional`: how many of them, the first ones; there are 1000."""
     part: Literal["training", "additional", "unseen", "topologies"] = "training"
     """training: the 19 training designs in both topologies; additional: further training designs in one; unseen: the
     6 unseen designs; topologies: 7 unseen topologies of one training design."""

@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import jax.numpy as jnp
 import numpy as np
 from tqdm import tqdm
 
@@ -24,7 +23,6 @@ from experiments.shared.evaluate import (
     rows_with,
     spread,
 )
-from experiments.shared.kriging import KrigedGarments
 from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
 from experiments.shared.record import RESULTS, publish, read_result
 from experiments.shared.refined import Refiner
@@ -32,12 +30,12 @@ from tryon_jax.checks import check_range
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
-from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import CHUNK
 from tryon_jax.tryon import load_model
+from tryon_jax.tryon.shared_fine import add_shared_fine
 from tryon_jax.types import Body
 
 Table = dict[str, dict[str, Errors]]
@@ -54,6 +52,9 @@ class Config:
     """Folder of the run."""
     paper_form: Path | None = None
     """Folder of a run in the paper's form (`train --size small-node`), measured beside it."""
+    shared: Path | None = None
+    """File of an R_fine of all fabrics that goes with the run (small-fabrics of the package goes with what is shipped):
+    adds the row of a mesh without a design."""
     dressed: Path | None = None
     """Folder of a dataset whose garments were dressed by themselves (`simulate --convention dressed`): how far the
     pipeline, and the convention that it learns, are from those."""
@@ -78,6 +79,8 @@ def main(config: Config) -> None:
     fabrics = read_config(config.data).fabrics
     weights = model_path(config.run)
     model = open_model(weights, config.untrained, fabrics)
+    if config.shared is not None:
+        model = add_shared_fine(model, config.shared)
     full, cases = case_names(config.data, manifest), case_names(config.data, manifest, config.garments)
     # Unseen topologies are of one design: they are compared with its trained topologies on the same shapes.
     twins = {name.rsplit("-", 1)[0] for name in full["unseen topology"]}
@@ -97,17 +100,13 @@ def main(config: Config) -> None:
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
-    template = np.asarray(apply_mean_drape(model.mean, jnp.asarray(manifest.space.mean, jnp.float32)))
-    kriged = {f: KrigedGarments(list(trained[f].values()), manifest, template) for f in fabrics}
     pipeline = Pipeline(model)
     refiner = Refiner(model.body, config.data, config.refine) if config.refine else None
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
             rows = wanted[case, name]
-            measured = measure(
-                garments[name], rows, pipeline, neighbours, kriged, model.body, config.inside_shapes, rival
-            )
+            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes, rival)
             if refiner is not None and case.startswith("unseen"):
                 measure_refined(measured, garments[name], rows, pipeline, refiner, fabrics)
             measure_spread(measured, config.data, garments[name], rows, trained)
@@ -153,7 +152,6 @@ def measure(
     rows: np.ndarray,
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
-    kriged: Mapping[str, KrigedGarments],
     body: Body,
     inside_shapes: int,
     rival: Rival | None = None,
@@ -166,7 +164,7 @@ def measure(
     looked_at = spread(len(rows), inside_shapes)
     skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
     rivals = {} if rival is None else rival(samples, rows, list(neighbours))
-    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours, kriged).items():
+    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
         if fabric in rivals:
             drapes["paper form"] = rivals[fabric]
         simulated = samples.drapes[fabric][rows, :count]
@@ -187,7 +185,6 @@ def _predictions(
     rows: np.ndarray,
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
-    kriged: Mapping[str, KrigedGarments],
 ) -> dict[str, dict[str, Stack]]:
     mean, count = samples.garment.mean_vertices, samples.garment.num_vertices
     still = np.broadcast_to(mean[None], (len(rows), count, 3))
@@ -201,11 +198,14 @@ def _predictions(
             "transfer": moved,
             "neighbours": neighbours[fabric](samples, rows, with_design=False),
             "neighbours, design": neighbours[fabric](samples, rows, with_design=True),
-            "kriging": kriged[fabric](samples, rows),
             "smooth": predicted.smooth,
             "mean detail": predicted.smooth + detail,
             "pipeline": predicted.fine,
         }
+        if fabric in pipeline.model.kriging:
+            drapes["kriging"] = predicted.start
+            bare = pipeline.without_design(samples, rows, fabric)
+            drapes |= {} if bare is None else {"bare": bare}
         if len(origin) and samples.good[fabric][origin].all():
             drapes["carried offset"] = predicted.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
         found[fabric] = drapes

@@ -99,7 +99,8 @@ def main(config: Config) -> None:
         "layers": layers,
         "bytes": {
             "fully connected": dense_bytes(layers),
-            "ours": 4 * count_parameters((model.smooth.net, model.fine[config.fabric].net)),
+            "ours": 4
+            * count_parameters((model.kriging.get(config.fabric, model.smooth.net), model.fine[config.fabric].net)),
         },
         "training": {
             "samples": sum(len(s.train) for s in samples),

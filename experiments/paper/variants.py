@@ -91,8 +91,8 @@ def along_first(betas: Float[np.ndarray, "S b"]) -> Bool[np.ndarray, " S"]:
 
 
 def variant_config(variant: Variant, config: TryOnConfig) -> TryOnConfig:
-    """The configuration of a variant's networks."""
-    changed = replace(config, **variant.config)
+    """The configuration of a variant's networks, which start from M_smooth."""
+    changed = replace(config, kriging=None, **variant.config)
     if variant.order:
         changed = replace(
             changed,

@@ -1,9 +1,10 @@
 """Shared by the experiments that compare with simulations: loading, predicting, mapping between topologies."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
@@ -15,17 +16,21 @@ from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.stages import Predictor
-from tryon_jax.tryon import TryOnModel, load_model
+from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base, fine_of, load_model, stages_of
 
 Stack = Float[np.ndarray, "S V 3"]
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """M_smooth and M_fine of some shapes of a garment, unpadded, metres."""
+    """Stages of some shapes of a garment, unpadded, metres."""
 
     smooth: Stack
+    """M_smooth."""
     fine: Stack
+    """M_fine."""
+    start: Stack
+    """What R_fine starts from: the kriged drape where there is one, M_smooth with the detail of M̄ otherwise."""
 
 
 class Pipeline:
@@ -34,18 +39,30 @@ class Pipeline:
     def __init__(self, model: TryOnModel) -> None:
         self.model = model
         self._smooth, self._fine = Predictor(model.config, "smooth"), Predictor(model.config, "fine")
+        self._base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 
     def __call__(self, samples: SimulatedGarment, rows: np.ndarray, fabrics: Sequence[str]) -> dict[str, Prediction]:
         """Predictions of the samples with the given rows, by fabric."""
-        garment, betas = samples.garment, samples.betas[rows]
+        garment, betas, config = samples.garment, samples.betas[rows], self.model.config
         smooth = self._smooth(self.model.smooth, garment, betas)
         count = garment.num_vertices
-        return {
-            fabric: Prediction(
-                smooth[:, :count], self._fine(self.model.fine[fabric], garment, betas, smooth)[:, :count]
-            )
-            for fabric in fabrics
-        }
+        detail = np.asarray(fine_base(config, self._base_and_detail(config, garment)[1]))[None, :count]
+        found = {}
+        for fabric in fabrics:
+            first, stage = stages_of(self.model, garment, fabric)
+            start = smooth if first is self.model.smooth else self._smooth(first, garment, betas)
+            fine = self._fine(stage, garment, betas, start)
+            found[fabric] = Prediction(smooth[:, :count], fine[:, :count], start[:, :count] + detail)
+        return found
+
+    def without_design(self, samples: SimulatedGarment, rows: np.ndarray, fabric: str) -> Stack | None:
+        """M_fine as for a mesh without a design; None where the model cannot drape such in this fabric."""
+        if fabric not in self.model.config.shared_fabrics:
+            return None
+        garment = replace(samples.garment, design=None, template_vertices=None, template_weights=None)
+        betas = samples.betas[rows]
+        start = self._smooth(self.model.smooth, garment, betas)
+        return self._fine(fine_of(self.model, fabric), garment, betas, start)[:, : garment.num_vertices]
 
 
 def open_model(path: Path, untrained: bool, fabrics: tuple[str, ...]) -> TryOnModel:

@@ -1,4 +1,4 @@
-"""Train everything, from a data set to a model: R_mean, R_smooth, R_fine of each fabric, the collision step."""
+"""Train everything, from a data set to a model: R_mean, R_smooth, kriging, R_fine of each fabric, collision step."""
 
 import os
 from contextlib import nullcontext
@@ -6,12 +6,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
-from experiments.train import train_collisions, train_fine, train_mean, train_smooth
+from experiments.train import train_collisions, train_fine, train_kriging, train_mean, train_smooth
 from tryon_jax.files.pool import open_pool
 from tryon_jax.nets.config import Size
+from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import StageOptions
+from tryon_jax.training.recipes import StageOptions, model_path
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,8 @@ class Config:
     """What R_smooth's displacement is added to: the smoothed mean drape, or the paper's mean drape."""
     smooth_steps: int = 4000
     """Steps of R_smooth's training."""
+    kriging: bool = True
+    """R_fine starts from kriged drapes of designs in place of M_smooth; never in the paper's form."""
     fine_steps: int = 12000
     """Steps of R_fine's, for each fabric."""
     collision_steps: int = 2000
@@ -45,6 +48,8 @@ def main(config: Config) -> None:
     if not (config.run / "mean" / "curve.json").exists():
         train_mean.main(train_mean.Config(config.data, config.run, config.size, config.reference))
     train_smooth.main(train_smooth.Config(config.data, config.run, _options(config, config.smooth_steps)))
+    if config.kriging and not config.size.endswith("-node") and not _has_kriging(config.run):
+        train_kriging.main(train_kriging.Config(config.data, config.run))
     with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
         train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, config.fine_steps)), pool)
         if config.collision_steps:
@@ -52,6 +57,10 @@ def main(config: Config) -> None:
             every = min(step.loop.evaluate_every, config.collision_steps)
             step = replace(step, loop=replace(step.loop, steps=config.collision_steps, evaluate_every=every))
             train_collisions.main(train_collisions.Config(config.run, (), config.data, step), pool)
+
+
+def _has_kriging(run: Path) -> bool:
+    return any(name.startswith("kriging-") for name in read_record(model_path(run))["training"])
 
 
 def _options(config: Config, steps: int) -> StageOptions:

@@ -109,15 +109,15 @@ def test_manifest() -> None:
     manifest = load_manifest()
     assert (len(manifest.training), len(manifest.unseen)) == (19, 6)
     assert (len(manifest.training_seeds), len(manifest.test_seeds)) == (2, 7)
-    assert len(manifest.additional) == 600
+    assert len(manifest.additional) == 1000
     assert set(manifest.validation) < {d.label for d in manifest.additional}
-    assert len({d.label for d in manifest.designs}) == 625
+    assert len({d.label for d in manifest.designs}) == 1025
     # Designs that choose the weights or test are fitted nowhere.
     held = {tuple(d.values) for d in (*manifest.unseen, *map(manifest.design, manifest.validation))}
     fitted = [d for d in (*manifest.training, *manifest.additional) if d.label not in manifest.validation]
     assert not held & {tuple(d.values) for d in fitted}
     assert len(manifest.training_garments(additional=False)) == 38
-    assert len(manifest.training_garments()) == 638
+    assert len(manifest.training_garments()) == 1038
     assert manifest.split("additional-0", manifest.training_seeds[0]) == "training"
     # Only the first topology of these is simulated for training.
     assert manifest.split("additional-0", manifest.training_seeds[1]) == "test"

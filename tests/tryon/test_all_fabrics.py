@@ -112,5 +112,5 @@ def test_what_a_model_does_not_know_is_refused(model: TryOnModel, garment: Garme
         drape(model, garment, BETAS, "tango-red-jet-set")
     with pytest.raises(ValueError, match="takes names, not numbers: 'gray-interlock'"):
         drape(make_model(), garment, BETAS, jnp.zeros(4))
-    with pytest.raises(ValueError, match='needs conditioning="fields"'):
+    with pytest.raises(ValueError, match='need conditioning="fields"'):
         init_model(jax.random.key(0), replace(TINY, shared_fabrics=FABRICS, conditioning="node"))

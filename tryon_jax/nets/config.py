@@ -8,12 +8,16 @@ from tryon_jax.graph.build import NUM_LEVELS
 from tryon_jax.graph.laplacian import Normalisation
 from tryon_jax.graph.pooling import Pooling
 from tryon_jax.nets.fabric_functions import field_pairs
+from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
 
 Reference = Literal["smoothed", "paper"]
 Conditioning = Literal["fields", "node"]
 STANCE_EXTENT = 2.0
 """What the lowest stance of the arms counts as, beside betas of about this size."""
+
+KRIGED_NET = UNetConfig(widths=(64, 96, 128, 160))
+"""An R_fine that starts from kriged drapes, which leave less to learn."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,10 @@ class TryOnConfig:
     every node, and each body costs a pass of the networks (section 4 of the paper)."""
     fields: int = 24
     """Displacement fields K of each network, with `conditioning="fields"`."""
+    kriging: KrigingConfig | None = None
+    """Of the kriged drapes that the R_fine of each single fabric starts from; None: it starts from M_smooth."""
+    kriged_fine: UNetConfig = KRIGED_NET
+    """Of an R_fine that starts from kriged drapes, in place of `fine`."""
     coefficient_widths: tuple[int, ...] = (64, 64)
     """Hidden layers of the perceptron from betas to coefficients."""
     beta_periods: tuple[float, ...] = (8.0, 4.0, 2.0)
@@ -155,6 +163,7 @@ def stance_config(config: TryOnConfig, fabrics: tuple[str, ...], **changes: Any)
         "fabrics": (),
         "num_betas": config.num_betas + 1,
         "stance": True,
+        "kriging": None,
         # What it adds is added to a whole drape.
         "reference": "paper",
         "conditioning": "fields",

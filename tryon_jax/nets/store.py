@@ -70,7 +70,9 @@ def save_store(path: str | Path, tree: Any, record: Mapping[str, Any], half: boo
 
 
 def _may_be_half(name: str, array: np.ndarray) -> bool:
-    return ".weight" in name and array.dtype == np.float32 and bool((np.abs(array) < 6e4).all())
+    return (
+        (".weight" in name or ".components" in name) and array.dtype == np.float32 and bool((np.abs(array) < 6e4).all())
+    )
 
 
 def read_record(path: str | Path) -> dict[str, Any]:

@@ -199,6 +199,7 @@ class CollisionTask:
         """
         self.model, self.fabric, self.options = model, fabric, options
         self.start = model.fine[fabric]
+        self.first = model.kriging.get(fabric, model.smooth)
         self.neighbours = list_neighbours(model.body)
         self._count = jax.jit(lambda *arguments: self._inside(*arguments))
 
@@ -226,7 +227,7 @@ class CollisionTask:
         config, options = self.model.config, self.options
         start, stage = of_fabric(self.start, numbers), of_fabric(weights.of(self.start), numbers)
         garment, mask = pooled.garment, jnp.asarray(pooled.garment.graph.mask)
-        smooth = smooth_stage(config, self.model.smooth, garment, betas)
+        smooth = smooth_stage(config, self.first, garment, betas)
         fine = fine_stage(config, stage, garment, betas, smooth)
         anchor = jnp.zeros(())
         if options.anchor:
@@ -253,7 +254,7 @@ class CollisionTask:
         numbers: Float[Array, " F"] | None,
     ) -> Float[Array, " B"]:
         config, garment = self.model.config, pooled.garment
-        smooth = smooth_stage(config, self.model.smooth, garment, betas)
+        smooth = smooth_stage(config, self.first, garment, betas)
         fine = fine_stage(config, of_fabric(weights.of(self.start), numbers), garment, betas, smooth)
         mask = jnp.asarray(garment.graph.mask)
 

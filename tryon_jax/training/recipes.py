@@ -10,6 +10,7 @@ the record of its earlier training stays inside the new one.
 import hashlib
 import json
 import platform
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, field, replace
@@ -19,12 +20,14 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from tqdm import tqdm
 
 from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.carried import fresh_topologies
@@ -32,8 +35,10 @@ from tryon_jax.training.collisions import with_fine
 from tryon_jax.training.dataset import read_config
 from tryon_jax.training.drapes import has_drapes
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
+from tryon_jax.training.kriging import KrigingFit, kriged_starts, kriging_error
 from tryon_jax.training.loop import LoopOptions, TimeLimits, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
+from tryon_jax.training.node_drapes import read_nodes
 from tryon_jax.training.principal import principal_coefficients
 from tryon_jax.training.stages import (
     BatchSource,
@@ -196,6 +201,48 @@ def _training_samples(
     return names, loaded + fresh_topologies(model, root, loaded, manifest, options.fresh)
 
 
+def fit_kriging(
+    root: Path,
+    run: Path,
+    fabrics: Sequence[str],
+    config: KrigingConfig,
+    seed: int = 0,
+    samples: Sequence[SimulatedGarment] | None = None,
+) -> TryOnModel:
+    """Krige the drapes of designs in each fabric, for a run whose R_mean is trained: R_fine then starts anew from them.
+
+    Args:
+        root: Folder of the dataset.
+        run: Folder of the run.
+        fabrics: Whose drapes: all single ones of the run's model.
+        config: Of the processes.
+        seed: Of R_fine's weights before its training.
+        samples: As in `fit_smooth`.
+    """
+    model, manifest = load_model(model_path(run)), load_manifest()
+    names = training_names(root, manifest)
+    samples = load_samples(model, root, names) if samples is None else samples
+    model = replace(model, config=replace(model.config, kriging=config))
+    record = store.read_record(model_path(run)).get("training", {})
+    found = {}
+    for fabric in tqdm(fabrics, desc="kriging"):
+        began = time.monotonic()
+        drapes = read_nodes(model, samples, manifest, fabric)
+        found[fabric] = KrigingFit(drapes, config).kriging
+        record[f"kriging-{fabric}"] = {
+            "garments": len(drapes.rows),
+            "samples": len(drapes.fields),
+            "validation_mm": kriging_error(model, found[fabric], samples, manifest, fabric),
+            "seconds": round(time.monotonic() - began),
+            "options": asdict(config),
+            "dataset": dataset_checksum(root, names),
+        }
+    fresh = init_model(jax.random.key(seed), model.config, body=model.body).fine
+    model = replace(model, kriging=found, fine=model.fine | {fabric: fresh[fabric] for fabric in fabrics})
+    save_model(model_path(run), model, record)
+    return model
+
+
 def fit_fine(
     root: Path,
     run: Path,
@@ -234,6 +281,9 @@ def _train_fine(
     limits: TimeLimits | None,
 ) -> tuple[Stage, dict[str, Any]]:
     model = load_model(model_path(run))
+    if fabric in model.kriging:
+        # Kriged drapes are those of a design: there is none without one.
+        options = replace(options, design_dropout=0.0)
     sets, checksum = load_fine_sets(model, root, fabric, options, samples)
     folder, cloth = run / f"fine-{fabric}", load_fabric(fabric)
     return fit_stage(model, "fine", model.fine[fabric], sets, folder, options, checksum, cloth, limits)
@@ -283,13 +333,25 @@ def load_fine_sets(
     manifest = load_manifest()
     names, samples = _training_samples(model, root, manifest, options, samples)
     smooth_vertices = None
-    if options.fine_input == "predicted":
+    if fabric in model.kriging:
+        smooth_vertices = _starts(model, samples, manifest, fabric)
+    elif options.fine_input == "predicted":
         predictor = Predictor(model.config, "smooth")
         smooth_vertices = [
             predictor(model.smooth, s.garment, s.betas) for s in tqdm(samples, desc="M_smooth", mininterval=2)
         ]
     cloths = [load_cloth(root, s) for s in samples] if options.energy else None
     return fine_sets(samples, manifest, fabric, smooth_vertices, cloths), dataset_checksum(root, names)
+
+
+def _starts(
+    model: TryOnModel, samples: Sequence[SimulatedGarment], manifest: Manifest, fabric: str
+) -> list[Float[np.ndarray, "S N 3"]]:
+    """Kriged drapes of all samples, those that are trained on without their own design."""
+    kriging = model.kriging[fabric]
+    # The process once more: a model does not keep what it takes to leave a design out.
+    fit = KrigingFit(read_nodes(model, samples, manifest, fabric), kriging.shapes.config)
+    return kriged_starts(model, kriging, fit.without_each_design(), samples, manifest, fabric)
 
 
 def fit_stage(

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.kriging import Kriging
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.nets.unet import UNet
 from tryon_jax.physics.bending import bending_energy
@@ -97,14 +98,14 @@ class StageSet:
 
 
 def predict(
-    config: TryOnConfig, kind: str, stage: Stage, garment: Garment, betas: Array, inputs: Array
+    config: TryOnConfig, kind: str, stage: Stage | Kriging, garment: Garment, betas: Array, inputs: Array
 ) -> Float[Array, "B N 3"]:
     """The stage's output, "smooth" or "fine", by the functions that `drape` calls.
 
     Args:
         config: Of the model.
         kind: "smooth" or "fine".
-        stage: Network and scale.
+        stage: Network and scale; for "smooth" also kriged drapes.
         garment: One garment.
         betas: Body shapes, standard deviations.
         inputs: M_smooth [B, N, 3] for "fine", metres; not read for "smooth".
@@ -114,6 +115,7 @@ def predict(
     """
     if kind == "smooth":
         return smooth_stage(config, stage, garment, betas)
+    assert isinstance(stage, Stage)
     return fine_stage(config, stage, garment, betas, inputs)
 
 
@@ -369,7 +371,11 @@ class Predictor:
         self._run = jax.jit(lambda stage, garment, betas, inputs: predict(config, kind, stage, garment, betas, inputs))
 
     def __call__(
-        self, stage: Stage, garment: Garment, betas: Float[np.ndarray, "S b"], inputs: np.ndarray | None = None
+        self,
+        stage: Stage | Kriging,
+        garment: Garment,
+        betas: Float[np.ndarray, "S b"],
+        inputs: np.ndarray | None = None,
     ) -> Float[np.ndarray, "S N 3"]:
         """Predicted vertices, padded, metres.
 
@@ -387,14 +393,14 @@ class Predictor:
         return np.concatenate(out)
 
 
-def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet], most: int = 8) -> float:
+def validation_error(predictor: Predictor, stage: Stage | Kriging, sets: Sequence[StageSet], most: int = 8) -> float:
     """Mean distance from the targets over validation samples (at most `most` of each garment), millimetres.
 
     Garments with training samples and designs that have none count half each: users ask for new designs as often.
 
     Args:
         predictor: Compiled prediction.
-        stage: Network and scale.
+        stage: Network and scale, or kriged drapes.
         sets: Samples of each garment.
         most: Samples of each garment at most.
     """
@@ -405,7 +411,8 @@ def validation_error(predictor: Predictor, stage: Stage, sets: Sequence[StageSet
         if not len(chosen):
             continue
         inputs = None if s.inputs is None else s.inputs[chosen]
-        predicted = predictor(of_fabric(stage, s.numbers), s.garment, s.betas[chosen], inputs)
+        bound = of_fabric(stage, s.numbers) if isinstance(stage, Stage) else stage
+        predicted = predictor(bound, s.garment, s.betas[chosen], inputs)
         mask = np.asarray(s.garment.graph.mask)
         error = 1e3 * np.linalg.norm((predicted - s.targets[chosen])[:, mask], axis=-1).mean()
         errors.setdefault(bool(s.train.any()), []).append(float(error))

@@ -13,6 +13,7 @@ from tryon_jax.tryon.draping import (
     fine_of,
     mean_drape,
     move_with_graph,
+    stages_of,
     with_design,
 )
 from tryon_jax.tryon.features import fine_features, smooth_features
@@ -71,6 +72,7 @@ __all__ = [
     "smooth_features",
     "smooth_stage",
     "stack_garments",
+    "stages_of",
     "with_design",
     "with_parameters",
 ]

@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from tryon_jax.checks import check_choice
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
+from tryon_jax.nets.kriging import Kriging, ShapeFunctions
 from tryon_jax.nets.mlp import MLP, apply_mean_drape
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import ALL_FABRICS, Stage, TryOnModel, of_fabric
@@ -17,6 +18,7 @@ from tryon_jax.tryon.stages import (
     fine_base,
     fine_fields,
     fine_stage,
+    shape_functions,
     smooth_fields,
     smooth_stage,
     weighted_sum,
@@ -26,14 +28,14 @@ from tryon_jax.types import EXACT, ArrayLike, pytree, static
 
 @pytree
 class StageFields:
-    """What one network adds: an offset and a sum of K fields, weighted by the body's shape."""
+    """What one stage adds: an offset and a sum of K fields, weighted by the body's shape."""
 
     offset: Float[ArrayLike, "*batch M 3"]
     """Metres."""
     fields: Float[ArrayLike, "*batch M 3 K"]
     """Metres."""
-    coefficients: MLP
-    """From betas and their waves to the K weights."""
+    coefficients: MLP | ShapeFunctions
+    """From betas to the K weights."""
 
 
 @pytree
@@ -45,7 +47,7 @@ class DrapeFields:
     """
 
     smooth: StageFields
-    """M_smooth."""
+    """M_smooth, or the kriged drape less the detail of M̄."""
     fine: StageFields
     """What M_fine has beyond it."""
     beta_scale: float = static(default=2.0)
@@ -59,7 +61,7 @@ class DrapeStages:
     mean: Float[Array, "N 3"]
     """M̄, the drape on the mean body."""
     smooth: Float[Array, "*batch N 3"]
-    """M_smooth."""
+    """M_smooth, or the kriged drape less the detail of M̄."""
     fine: Float[Array, "*batch N 3"]
     """M_fine, the result."""
     penetration: PenetrationReport | None = None
@@ -120,10 +122,9 @@ def drape_stages(
     if model.config.conditioning == "fields":
         smooth, fine = _evaluate(drape_fields(model, garment, fabric), rows)
     else:
-        moved = smooth_stage(model.config, model.smooth, garment, rows)
-        fine = move_with_graph(
-            garment, fine_stage(model.config, fine_of(model, fabric), garment, rows, moved), vertices
-        )
+        first, second = stages_of(model, garment, fabric)
+        moved = smooth_stage(model.config, first, garment, rows)
+        fine = move_with_graph(garment, fine_stage(model.config, second, garment, rows, moved), vertices)
         smooth = move_with_graph(garment, moved, vertices)
     report = None
     if contact is not None:
@@ -150,13 +151,14 @@ def drape_fields(
     Raises:
         ValueError: for an unknown fabric, or a model with `conditioning="node"`, which has no fields.
     """
-    config, fine = model.config, fine_of(model, fabric)
-    if model.smooth.coefficients is None or fine.coefficients is None:
+    config, (first, fine) = model.config, stages_of(model, garment, fabric)
+    functions = shape_functions(first)
+    if functions is None or fine.coefficients is None:
         raise ValueError('this model has no fields: it was made with conditioning="node"; use `drape`')
     garment = with_design(model, garment, design)
     base, detail = base_and_detail(config, garment)
     parts = [
-        StageFields(base, smooth_fields(config, model.smooth, garment), model.smooth.coefficients),
+        StageFields(base, smooth_fields(config, first, garment), functions),
         StageFields(fine_base(config, detail), fine_fields(config, fine, garment, detail), fine.coefficients),
     ]
     smooth_part, fine_part = _carry_fields(garment, *parts)
@@ -182,15 +184,37 @@ def field_stages(
     return smooth.reshape(*batch, *smooth.shape[1:]), fine.reshape(*batch, *fine.shape[1:])
 
 
+def stages_of(
+    model: TryOnModel, garment: Garment, fabric: str | Float[ArrayLike, " F"] | None
+) -> tuple[Stage | Kriging, Stage]:
+    """What drapes a garment in a fabric: R_smooth or kriging, and the R_fine that was trained on what this leaves.
+
+    A garment that was cut from a design starts from its kriged drape in the fabrics that have such.
+
+    Args:
+        model: Networks.
+        garment: The garment.
+        fabric: As in `drape`.
+
+    Raises:
+        ValueError: the model does not know the fabric, or cannot drape a mesh without a design in it.
+    """
+    if isinstance(fabric, str | None) and garment.design is not None:
+        name = fabric or model.config.known_fabrics[0]
+        if name in model.kriging:
+            return model.kriging[name], model.fine[name]
+    return model.smooth, fine_of(model, fabric)
+
+
 def fine_of(model: TryOnModel, fabric: str | Float[ArrayLike, " F"] | None) -> Stage:
-    """R_fine of a fabric.
+    """The R_fine that starts from R_smooth, in a fabric.
 
     Args:
         model: Networks.
         fabric: One of the model's by name, the first when None; or the numbers of any.
 
     Raises:
-        ValueError: the model does not know the fabric.
+        ValueError: the model does not know the fabric, or only as kriged drapes of designs.
     """
     config = model.config
     if not isinstance(fabric, str | None):
@@ -199,8 +223,10 @@ def fine_of(model: TryOnModel, fabric: str | Float[ArrayLike, " F"] | None) -> S
             raise ValueError(f"this model has one R_fine for each fabric and takes names, not numbers: {known}")
         return of_fabric(model.fine[ALL_FABRICS], fabric)
     name = check_choice("fabric", fabric or config.known_fabrics[0], config.known_fabrics)
-    if name in model.fine:
+    if name in model.fine and name not in model.kriging:
         return model.fine[name]
+    if name not in config.shared_fabrics:
+        raise ValueError(f"without an R_fine of all fabrics, this model drapes only designs in {name!r}")
     stage = model.fine[ALL_FABRICS]
     assert stage.fabrics is not None
     return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.shared_fabrics.index(name)])

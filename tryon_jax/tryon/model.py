@@ -1,7 +1,7 @@
 """The model: three regressors, the body they are for, and their configuration."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import Any
 
 import jax
@@ -13,6 +13,7 @@ from tryon_jax.body.embedded import load_body
 from tryon_jax.garment import DesignSpace, load_design_space
 from tryon_jax.nets.config import SMALL, TryOnConfig
 from tryon_jax.nets.fabric_functions import FabricFunctions, apply_fabric_functions
+from tryon_jax.nets.kriging import Kriging, empty_kriging
 from tryon_jax.nets.mlp import MLP, MeanDrape, init_mean_drape, init_mlp
 from tryon_jax.nets.unet import UNet, UNetConfig, init_unet
 from tryon_jax.types import ArrayLike, Body, pytree, static
@@ -48,7 +49,7 @@ class StanceNetwork:
 
 @pytree
 class TryOnModel:
-    """Everything `drape` needs besides the garment: the three regressors, the body and their configuration."""
+    """Everything `drape` needs besides the garment: the regressors, the body and their configuration."""
 
     mean: MeanDrape
     """R_mean."""
@@ -57,6 +58,8 @@ class TryOnModel:
     fine: dict[str, Stage]
     """R_fine of each fabric, and under the name `ALL_FABRICS` one of all where there is such."""
     body: Body
+    kriging: dict[str, Kriging] = field(default_factory=dict)
+    """Kriged drapes of designs in each fabric, where R_fine starts from them and not from M_smooth."""
     stance: StanceNetwork | None = None
     """R_stance, where there is one."""
     config: TryOnConfig = static(default=SMALL)
@@ -91,8 +94,8 @@ def init_model(
         hidden=config.mean_hidden,
     )
 
-    if config.shared_fabrics and config.conditioning == "node":
-        raise ValueError('an R_fine of all fabrics needs conditioning="fields", not "node"')
+    if config.conditioning == "node" and (config.shared_fabrics or config.kriging):
+        raise ValueError('an R_fine of all fabrics and kriged drapes need conditioning="fields", not "node"')
     if len(space.names) != config.num_parameters:
         raise ValueError(f"the configuration has {config.num_parameters} parameters, the space {len(space.names)}")
 
@@ -108,12 +111,17 @@ def init_model(
     smooth = stage(keys[1], config.smooth, config.smooth_features, config.outputs)
     features, outputs = config.fine_features, config.outputs
     fine = {
-        fabric: stage(k, config.fine, features, outputs) for fabric, k in zip(config.fabrics, keys[2:], strict=True)
+        fabric: stage(k, config.kriged_fine if config.kriging else config.fine, features, outputs)
+        for fabric, k in zip(config.fabrics, keys[2:], strict=True)
     }
     if config.shared_fabrics:
         shared = stage(jax.random.fold_in(key, 1), config.fine, features, config.shared_outputs)
         fine[ALL_FABRICS] = replace(shared, fabrics=_no_functions(config))
-    return TryOnModel(mean, smooth, fine, body, config=config)
+    kriging = {}
+    if config.kriging is not None:
+        sizes = config.template_vertices, config.num_parameters, config.num_betas
+        kriging = {fabric: empty_kriging(config.kriging, *sizes) for fabric in config.fabrics}
+    return TryOnModel(mean, smooth, fine, body, kriging, config=config)
 
 
 def _no_functions(config: TryOnConfig) -> FabricFunctions:
@@ -143,7 +151,7 @@ def config_space(config: TryOnConfig) -> DesignSpace:
 
 def model_parameters(model: TryOnModel) -> dict[str, Any]:
     """The learned part of a model: what `save_model` stores and training updates."""
-    return {"mean": model.mean, "smooth": model.smooth, "fine": model.fine}
+    return {"mean": model.mean, "smooth": model.smooth, "fine": model.fine, "kriging": model.kriging}
 
 
 def with_parameters(model: TryOnModel, parameters: Mapping[str, Any]) -> TryOnModel:

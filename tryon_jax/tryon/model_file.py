@@ -11,7 +11,8 @@ import jax
 from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice
 from tryon_jax.nets import store
-from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.config import SMALL, TryOnConfig
+from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
@@ -37,8 +38,11 @@ _BEFORE_FIELDS = {
     "fabric_functions": 6,
     "fabric_numbers": 4,
     "stance": False,
+    "kriging": None,
+    "kriged_fine": store.config_record(SMALL.kriged_fine),
 }
-"""Defaults for files that were written before networks predicted fields, saw the fabric, or saw the stance."""
+"""Defaults for files that were written before networks predicted fields, saw the fabric or the stance, or started from
+kriged drapes."""
 
 
 def save_model(
@@ -128,8 +132,10 @@ def _config_from_record(record: Mapping[str, Any]) -> TryOnConfig:
         return cls(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
 
     values = dict(record)
-    for part in ("smooth", "fine"):
+    for part in ("smooth", "fine", "kriged_fine"):
         if not isinstance(values.get(part), Mapping):
             raise ValueError(f"the stored configuration has no field {part!r}")
         values[part] = build(UNetConfig, values[part], f"the stored configuration of {part!r}")
+    if values.get("kriging") is not None:
+        values["kriging"] = build(KrigingConfig, values["kriging"], "the stored configuration of 'kriging'")
     return build(TryOnConfig, values, "the stored configuration")

@@ -11,8 +11,10 @@ from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.tryon.model import ALL_FABRICS, TryOnModel, init_model
 
-_OWN = ("fabrics", "shared_fabrics", "fabric_functions", "fabric_numbers")
-"""Entries of the configuration in which the two may differ."""
+_SHARED = ("shared_fabrics", "fabric_functions", "fabric_numbers")
+"""Entries of the configuration that are of the R_fine of all fabrics."""
+_OTHERS = ("fabrics", "kriging", "kriged_fine")
+"""Those that are of other networks."""
 
 
 def save_shared_fine(
@@ -49,15 +51,15 @@ def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
     record = store.read_record(path)
     # Files that were written before there was R_stance do not name it.
     found = {"stance": False} | dict(record.get("config", {}))
-    shared = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _OWN[1:]}
+    shared = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _SHARED}
     config: TryOnConfig = dataclasses.replace(model.config, **shared)
-    wanted = store.config_record(config) | {"fabrics": found.get("fabrics")}
+    wanted = store.config_record(config) | {name: found.get(name) for name in _OTHERS}
     faults = store.compare_records({"config": found}, {"config": wanted})
     if record.get("basis") != _basis(model):
         faults.append("R_mean and R_smooth are not those that it was trained on")
     if faults:
         raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(faults))
-    alone = dataclasses.replace(config, fabrics=())
+    alone = dataclasses.replace(config, fabrics=(), kriging=None)
     fine = store.load_tree(path, lambda: init_model(jax.random.key(0), alone, body=model.body).fine)
     return dataclasses.replace(model, fine={**model.fine, **fine}, config=config)
 

@@ -1,7 +1,8 @@
 """Device side, pure: M_smooth and M_fine of one garment, the same for users and for training (section 4 of the paper).
 
 With `conditioning="fields"` each network runs once for a garment and predicts displacement fields; with "node" it runs
-for each body, as in the paper. Both forms go through the same two functions.
+for each body, as in the paper. Kriged drapes may take R_smooth's place, for garments that were cut from a design. All
+forms go through the same two functions.
 """
 
 import jax.numpy as jnp
@@ -12,6 +13,7 @@ from tryon_jax.graph.smoothing import smooth
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.fabric_functions import mix_fields
 from tryon_jax.nets.fourier import fourier_features
+from tryon_jax.nets.kriging import Kriging, ShapeFunctions, apply_shape_functions, kriged_fields
 from tryon_jax.nets.mlp import MLP, apply_mlp
 from tryon_jax.nets.unet import apply_unet
 from tryon_jax.tryon.features import fine_features, smooth_features
@@ -21,19 +23,20 @@ from tryon_jax.types import EXACT
 
 
 def smooth_stage(
-    config: TryOnConfig, stage: Stage, garment: Garment, betas: Float[Array, "B b"]
+    config: TryOnConfig, stage: Stage | Kriging, garment: Garment, betas: Float[Array, "B b"]
 ) -> Float[Array, "B N 3"]:
     """M_smooth, metres: the drapes of the smoothed garment on bodies of several shapes (section 4.2).
 
     Args:
         config: Of the model.
-        stage: R_smooth.
+        stage: R_smooth; or kriged drapes, and the result is these less the detail of M̄.
         garment: The garment.
         betas: Shapes of B bodies.
     """
     base, _ = base_and_detail(config, garment)
     if config.conditioning == "fields":
         return base[None] + weighted_sum(smooth_fields(config, stage, garment), coefficients(config, stage, betas))
+    assert isinstance(stage, Stage)
     moved = apply_stage(stage, garment.graph, smooth_features(config, garment, betas))
     return base[None] + jnp.moveaxis(moved, 1, 0)
 
@@ -63,14 +66,23 @@ def fine_stage(
     return smooth_vertices + (fine_base(config, detail)[None] + moved)
 
 
-def smooth_fields(config: TryOnConfig, stage: Stage, garment: Garment) -> Float[Array, "N 3 K"]:
-    """The displacement fields that R_smooth predicts for a garment, metres; zero at padded nodes.
+def smooth_fields(config: TryOnConfig, stage: Stage | Kriging, garment: Garment) -> Float[Array, "N 3 K"]:
+    """The displacement fields that R_smooth or kriging predicts for a garment, metres; zero at padded nodes.
 
     Args:
         config: Of the model.
-        stage: R_smooth.
+        stage: R_smooth, or kriged drapes.
         garment: One garment.
+
+    Raises:
+        ValueError: kriged drapes of a mesh without a design are asked for.
     """
+    if isinstance(stage, Kriging):
+        if garment.design is None or garment.template_vertices is None or garment.template_weights is None:
+            raise ValueError("this garment is a mesh without a design: only designs have kriged drapes")
+        width = jnp.asarray(garment.graph.vertices).dtype
+        design, weights = (jnp.asarray(array, width) for array in (garment.design, garment.template_weights))
+        return kriged_fields(stage, design, jnp.asarray(garment.template_vertices), weights)
     return _split_fields(apply_stage(stage, garment.graph, smooth_features(config, garment)))
 
 
@@ -97,22 +109,28 @@ def fine_fields(
     return mix_fields(fields, jnp.asarray(stage.fabric_values), config.field_pairs, config.fields)
 
 
-def coefficients(config: TryOnConfig, stage: Stage, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
+def coefficients(config: TryOnConfig, stage: Stage | Kriging, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
     """Weights of a stage's fields for bodies of shape `betas`; zero in T-pose where the last of them is the stance.
 
     Args:
         config: Of the model.
-        stage: R_smooth, R_fine or R_stance.
+        stage: R_smooth, kriged drapes, R_fine or R_stance.
         betas: Standard deviations.
 
     Raises:
         ValueError: the stage takes the betas at its nodes.
     """
-    if stage.coefficients is None:
+    functions = shape_functions(stage)
+    if functions is None:
         raise ValueError('this model has no fields: it was made with conditioning="node"')
-    if config.stance:
-        return stance_coefficients(config, stage.coefficients, betas)
-    return field_coefficients(stage.coefficients, betas, config.beta_scale, config.beta_periods)
+    if config.stance and isinstance(functions, MLP):
+        return stance_coefficients(config, functions, betas)
+    return field_coefficients(functions, betas, config.beta_scale, config.beta_periods)
+
+
+def shape_functions(stage: Stage | Kriging) -> MLP | ShapeFunctions | None:
+    """What weights the fields of a stage; None where the betas are node features."""
+    return stage.shapes if isinstance(stage, Kriging) else stage.coefficients
 
 
 def stance_coefficients(config: TryOnConfig, mlp: MLP, codes: Float[Array, "B b"]) -> Float[Array, "B K"]:
@@ -130,18 +148,20 @@ def stance_coefficients(config: TryOnConfig, mlp: MLP, codes: Float[Array, "B b"
 
 
 def field_coefficients(
-    mlp: MLP, betas: Float[Array, "B b"], beta_scale: float, periods: tuple[float, ...]
+    functions: MLP | ShapeFunctions, betas: Float[Array, "B b"], beta_scale: float, periods: tuple[float, ...]
 ) -> Float[Array, "B K"]:
-    """Coefficients of fields from betas: a perceptron of the scaled betas and their waves.
+    """Coefficients of fields from betas: a perceptron of the scaled betas and their waves, or a kernel's functions.
 
     Args:
-        mlp: The perceptron.
+        functions: Of a network's fields, or of kriged ones.
         betas: Standard deviations.
         beta_scale: Standard deviations that the perceptron sees as one.
         periods: Of the waves, standard deviations.
     """
+    if isinstance(functions, ShapeFunctions):
+        return apply_shape_functions(functions, betas)
     inputs = jnp.concatenate([betas / beta_scale, fourier_features(betas, periods)], axis=-1)
-    return apply_mlp(mlp, inputs)
+    return apply_mlp(functions, inputs)
 
 
 def weighted_sum(fields: Float[Array, "N 3 K"], weights: Float[Array, "B K"]) -> Float[Array, "B N 3"]:

@@ -16,6 +16,8 @@ from tryon_jax.types import Body
 
 _OWN = ("shared_fabrics", "fabric_functions", "fabric_numbers", "fields", "coefficient_widths", "beta_periods")
 """Entries of the configuration in which R_stance may differ from the model, beside its sizes."""
+_OTHERS = ("smooth", "kriging", "kriged_fine")
+"""Those that are of other networks."""
 
 
 def save_stance(
@@ -61,7 +63,7 @@ def add_stance(model: TryOnModel, path: str | Path) -> TryOnModel:
         raise ValueError(f"{str(path)!r} has no sizes of R_stance")
     config: TryOnConfig = stance_config(model.config, fine=UNetConfig(**fine), **_with_fabrics(own))
     wanted = {
-        "config": store.config_record(config) | {"smooth": found.get("smooth")},
+        "config": store.config_record(config) | {name: found.get(name) for name in _OTHERS},
         "body": {"name": model.body.name, "hash": store.hash_body(model.body)},
     }
     if faults := store.compare_records(record, wanted):

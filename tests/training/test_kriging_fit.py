@@ -1,0 +1,118 @@
+"""Fitting kriged drapes: reading at nodes, leaving designs out, and what may not be fitted."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from tests.experiments.tiny_garments import AREA, FABRIC
+from tests.training.made_up_data import MANIFEST, make_full
+from tryon_jax.nets.config import load_config
+from tryon_jax.nets.kriging import KrigingConfig
+from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.training.kriging import KrigingFit, kriged_starts, kriging_error
+from tryon_jax.training.node_drapes import NodeReader, read_nodes
+from tryon_jax.training.recipes import load_samples
+from tryon_jax.training.stages import split_validation
+from tryon_jax.tryon import TryOnModel, init_model
+
+CONFIG = KrigingConfig(degree=4, shape_degree=3, components=12)
+NAMES = ("tshirt-0", "additional-3-0", "additional-7-0")
+
+
+@pytest.fixture(scope="module")
+def model() -> TryOnModel:
+    net = UNetConfig(widths=(4, 4))
+    config = load_config("small", smooth=net, fine=net, fabrics=(FABRIC,), target_area=AREA, num_levels=2)
+    return init_model(jax.random.key(0), config)
+
+
+@pytest.fixture(scope="module")
+def samples(model: TryOnModel, tmp_path_factory: pytest.TempPathFactory) -> list[SimulatedGarment]:
+    return load_samples(model, make_full(tmp_path_factory.mktemp("data")), NAMES)
+
+
+def test_values_at_nodes_are_found_from_those_at_vertices(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    reader, garment = NodeReader(model), samples[0].garment
+    assert reader.num_nodes == CONFIG.nodes
+    # Fields that are smooth over the template, as drapes are.
+    rng = np.random.default_rng(0)
+    mean = garment.mean_vertices
+    fields = np.sin(mean @ rng.normal(size=(3, 3)) * 8)[None] * np.array([1.0, 2.0])[:, None, None]
+    found = reader(garment, fields.astype(np.float32))
+    operator = reader.operator(garment)
+    back = np.stack([operator @ field for field in found])
+    assert np.abs(back - fields).mean() < 0.03 * np.abs(fields).mean()
+    np.testing.assert_allclose(operator.sum(axis=1), 1.0, atol=1e-5)
+
+
+def test_leaving_drapes_out_is_fitting_without_them(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    fit = KrigingFit(read_nodes(model, samples, MANIFEST, FABRIC), CONFIG)
+    rows = fit.rows["additional-7-0"]
+    found = fit.without(rows)
+    functions, coordinates = fit.functions, fit.coordinates
+    kept = np.setdiff1d(np.arange(len(functions)), rows)
+    normal = functions[kept].T @ functions[kept] + CONFIG.nugget * np.eye(functions.shape[1])
+    weights = np.linalg.solve(normal, functions[kept].T @ coordinates[kept])
+    components = np.asarray(fit.kriging.components).reshape(CONFIG.components, -1)
+    expected = (functions[rows] @ weights) @ components + np.asarray(fit.kriging.mean).ravel()
+    np.testing.assert_allclose(found.reshape(len(rows), -1), expected, atol=1e-5)
+    assert np.abs(found).max() > 1e-3
+
+
+def test_starts_leave_the_own_design_out(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    fit = KrigingFit(read_nodes(model, samples, MANIFEST, FABRIC), CONFIG)
+    starts = kriged_starts(model, fit.kriging, fit.without_each_design(), samples, MANIFEST, FABRIC)
+    for s, start in zip(samples, starts, strict=True):
+        assert start.shape == s.drapes[FABRIC].shape
+        count = s.garment.num_vertices
+        train, validation = (mask & s.good[FABRIC] for mask in split_validation(s, MANIFEST))
+        off = {
+            name: np.linalg.norm((start - s.drapes[FABRIC])[rows, :count], axis=2).mean()
+            for name, rows in (("train", train), ("validation", validation))
+        }
+        # The design's own drapes tell more of its validation shapes than other designs tell of it.
+        assert off["validation"] < off["train"]
+
+
+def test_some_garments_can_be_chosen(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    every = read_nodes(model, samples, MANIFEST, FABRIC)
+    some = every.only(["additional-7-0", "tshirt-0"])
+    assert list(some.rows) == ["tshirt-0", "additional-7-0"]
+    for name, rows in some.rows.items():
+        np.testing.assert_array_equal(some.fields[rows], every.fields[every.rows[name]])
+        np.testing.assert_array_equal(some.shapes[rows], every.shapes[every.rows[name]])
+
+
+def test_the_error_is_the_distance_on_validation_shapes(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    fit = KrigingFit(read_nodes(model, samples, MANIFEST, FABRIC), CONFIG)
+    nothing = replace(fit.kriging, weights=np.zeros_like(fit.kriging.weights))
+    errors = [kriging_error(model, kriging, samples, MANIFEST, FABRIC) for kriging in (fit.kriging, nothing)]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_other_drapes_are_predicted(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    fitted = read_nodes(model, samples, MANIFEST, FABRIC)
+    held = read_nodes(model, samples, MANIFEST, FABRIC, "validation")
+    assert not {tuple(row) for row in held.shapes.tolist()} & {tuple(row) for row in fitted.shapes.tolist()}
+    predicted = KrigingFit(fitted, CONFIG).predict(held)
+    assert np.abs(predicted - held.fields).mean() < 0.3 * np.abs(held.fields - fitted.fields.mean(axis=0)).mean()
+
+
+def test_few_drapes_leave_components_empty(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    config = replace(CONFIG, components=400)
+    kriging = KrigingFit(read_nodes(model, samples[:1], MANIFEST, FABRIC), config).kriging
+    assert np.asarray(kriging.components).shape[0] == 400
+    assert not np.asarray(kriging.components)[-1].any()
+
+
+def test_test_garments_and_carried_ones_are_refused(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    with pytest.raises(PermissionError, match="tshirt-100 is a test garment"):
+        read_nodes(model, [replace(samples[0], name="tshirt-100")], MANIFEST, FABRIC)
+    with pytest.raises(ValueError, match="not to 'tshirt-0', which was carried over"):
+        read_nodes(model, [replace(samples[0], source="dress-0")], MANIFEST, FABRIC)
+    bad = replace(samples[0], good={FABRIC: np.zeros_like(samples[0].test)})
+    with pytest.raises(ValueError, match="at least one good drape"):
+        read_nodes(model, [bad], MANIFEST, FABRIC)
