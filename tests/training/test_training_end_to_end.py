@@ -8,6 +8,7 @@ import pytest
 
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.config import load_config
+from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.store import read_record
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.training.collision_step import fit_collisions
@@ -21,6 +22,7 @@ from tryon_jax.training.plan import plan
 from tryon_jax.training.recipes import (
     StageOptions,
     fit_fine,
+    fit_kriging,
     fit_mean,
     fit_smooth,
     load_fine_sets,
@@ -55,6 +57,7 @@ def run(dataset, tmp_path_factory, unchecked):
         load_config("small"),
         smooth=UNetConfig(widths=(16, 24, 32)),
         fine=UNetConfig(widths=(16, 24)),
+        kriged_fine=UNetConfig(widths=(12, 16)),
         fabrics=(FABRIC,),
         target_area=1.2e-3,
         num_levels=3,
@@ -84,6 +87,30 @@ def test_the_papers_input_and_energies_are_options(dataset, run, tmp_path):
     assert read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]["continues"] == earlier
     before, after = load_model(model_path(run)).fine[FABRIC], load_model(model_path(tmp_path)).fine[FABRIC]
     assert not np.array_equal(before.net.head.weight, after.net.head.weight)
+
+
+def test_r_fine_learns_what_kriging_leaves(dataset, run, tmp_path, unchecked):
+    from tryon_jax.tryon import load_model
+
+    (tmp_path / "model.safetensors").write_bytes(model_path(run).read_bytes())
+    fit_kriging(dataset, tmp_path, [FABRIC], KrigingConfig(degree=3, shape_degree=2, components=6))
+    kriged = read_record(model_path(tmp_path))["training"][f"kriging-{FABRIC}"]
+    assert kriged["garments"] == 1
+    assert kriged["samples"] > 5
+    assert kriged["validation_mm"] < 20
+    before = load_model(model_path(tmp_path))
+    assert before.fine[FABRIC].net.config.widths == (12, 16)
+    loop = LoopOptions(steps=4, evaluate_every=4)
+    fit_fine(dataset, tmp_path, [FABRIC], StageOptions(loop, garments=1, shapes=4))
+    record = read_record(model_path(tmp_path))["training"][f"fine-{FABRIC}"]
+    assert record["options"]["design_dropout"] == 0
+    assert record["samples"] == kriged["samples"]
+    fit_collisions(tmp_path, [FABRIC], CollisionOptions(loop, pool=2, held_out=1, shapes=4), dataset)
+    after = load_model(model_path(tmp_path))
+    assert after.kriging[FABRIC].shapes.config == before.kriging[FABRIC].shapes.config
+    assert not np.array_equal(after.fine[FABRIC].net.head.weight, before.fine[FABRIC].net.head.weight)
+    with pytest.raises(ValueError, match="which was carried over"):
+        fit_fine(dataset, tmp_path, [FABRIC], StageOptions(loop, garments=1, shapes=4, fresh=1))
 
 
 def test_fresh_topologies_are_trained_on_and_have_no_energy(dataset, run, tmp_path):
