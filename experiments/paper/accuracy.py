@@ -12,6 +12,7 @@ from experiments.paper.accuracy_table import TWINS, draw, markdown
 from experiments.shared.errors import Errors
 from experiments.shared.evaluate import (
     Pipeline,
+    Prediction,
     Stack,
     available,
     case_names,
@@ -34,7 +35,7 @@ from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import CHUNK
-from tryon_jax.tryon import load_model
+from tryon_jax.tryon import TryOnModel, load_model
 from tryon_jax.tryon.shared_fine import add_shared_fine
 from tryon_jax.types import Body
 
@@ -106,12 +107,17 @@ def main(config: Config) -> None:
     for case, names in cases.items():
         for name in tqdm(names, desc=case, mininterval=2):
             rows = wanted[case, name]
-            measured = measure(garments[name], rows, pipeline, neighbours, model.body, config.inside_shapes, rival)
+            if not len(rows):
+                continue
+            predicted = pipeline(garments[name], rows, fabrics)
+            measured = measure(
+                garments[name], rows, predicted, pipeline, neighbours, model.body, config.inside_shapes, rival
+            )
             if refiner is not None and case.startswith("unseen"):
-                measure_refined(measured, garments[name], rows, pipeline, refiner, fabrics)
+                measure_refined(measured, garments[name], rows, predicted, refiner)
             measure_spread(measured, config.data, garments[name], rows, trained)
             if config.dressed is not None and available(config.dressed, [name]):
-                measure_dressed(measured, config.dressed, garments[name], rows, pipeline, fabrics)
+                measure_dressed(measured, config.dressed, garments[name], rows, predicted, model)
             for row, by_fabric in measured.items():
                 for fabric, errors in by_fabric.items():
                     tables[case].setdefault(row, {}).setdefault(fabric, Errors()).update(errors)
@@ -150,6 +156,7 @@ class Rival:
 def measure(
     samples: SimulatedGarment,
     rows: np.ndarray,
+    predicted: Mapping[str, Prediction],
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
     body: Body,
@@ -158,23 +165,21 @@ def measure(
 ) -> Table:
     """Errors of every row of the table on one garment."""
     table: Table = {}
-    if not len(rows):
-        return table
     count, ends = samples.garment.num_vertices, ray_ends(samples.betas[rows])
     looked_at = spread(len(rows), inside_shapes)
     skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
     rivals = {} if rival is None else rival(samples, rows, list(neighbours))
-    for fabric, drapes in _predictions(samples, rows, pipeline, neighbours).items():
+    for fabric, drapes in _predictions(samples, rows, predicted, pipeline, neighbours).items():
         if fabric in rivals:
             drapes["paper form"] = rivals[fabric]
         simulated = samples.drapes[fabric][rows, :count]
         fine = _fine(samples, simulated)
-        for row, predicted in {**drapes, "simulation": simulated}.items():
+        for row, shown in {**drapes, "simulation": simulated}.items():
             errors = table.setdefault(row, {}).setdefault(fabric, Errors())
-            errors.add(vertex_distances(predicted, simulated), ends)
-            errors.inside += [skin.inside_share(predicted[k]) for skin, k in zip(skins, looked_at, strict=True)]
+            errors.add(vertex_distances(shown, simulated), ends)
+            errors.inside += [skin.inside_share(shown[k]) for skin, k in zip(skins, looked_at, strict=True)]
             if len(rows) > 1:
-                errors.wrinkles.append(compare_wrinkles(_fine(samples, predicted), fine))
+                errors.wrinkles.append(compare_wrinkles(_fine(samples, shown), fine))
         own = table.setdefault("smooth, own target", {}).setdefault(fabric, Errors())
         own.add(vertex_distances(drapes["smooth"], samples.target[rows, :count]), ends)
     return table
@@ -183,6 +188,7 @@ def measure(
 def _predictions(
     samples: SimulatedGarment,
     rows: np.ndarray,
+    predicted: Mapping[str, Prediction],
     pipeline: Pipeline,
     neighbours: Mapping[str, NearestGarments],
 ) -> dict[str, dict[str, Stack]]:
@@ -192,22 +198,22 @@ def _predictions(
     detail = _fine(samples, mean[None])
     origin = np.flatnonzero((samples.betas == 0).all(axis=1))
     found = {}
-    for fabric, predicted in pipeline(samples, rows, list(neighbours)).items():
+    for fabric, stages in predicted.items():
         drapes = {
             "mean drape": still,
             "transfer": moved,
             "neighbours": neighbours[fabric](samples, rows, with_design=False),
             "neighbours, design": neighbours[fabric](samples, rows, with_design=True),
-            "smooth": predicted.smooth,
-            "mean detail": predicted.smooth + detail,
-            "pipeline": predicted.fine,
+            "smooth": stages.smooth,
+            "mean detail": stages.smooth + detail,
+            "pipeline": stages.fine,
         }
         if fabric in pipeline.model.kriging:
-            drapes["kriging"] = predicted.start
+            drapes["kriging"] = stages.start
             bare = pipeline.without_design(samples, rows, fabric)
             drapes |= {} if bare is None else {"bare": bare}
         if len(origin) and samples.good[fabric][origin].all():
-            drapes["carried offset"] = predicted.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
+            drapes["carried offset"] = stages.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
         found[fabric] = drapes
     return found
 
@@ -225,17 +231,14 @@ def measure_refined(
     table: Table,
     samples: SimulatedGarment,
     rows: np.ndarray,
-    pipeline: Pipeline,
+    predicted: Mapping[str, Prediction],
     refiner: Refiner,
-    fabrics: Sequence[str],
 ) -> None:
     """Errors of the pipeline's drapes after a few steps of the solver."""
-    if not len(rows):
-        return
     betas, count = samples.betas[rows], samples.garment.num_vertices
-    for fabric, predicted in pipeline(samples, rows, fabrics).items():
+    for fabric, stages in predicted.items():
         simulated = samples.drapes[fabric][rows, :count]
-        refined = refiner(samples.name, fabric, betas, predicted.fine)
+        refined = refiner(samples.name, fabric, betas, stages.fine)
         errors = table.setdefault("refined", {}).setdefault(fabric, Errors())
         errors.add(vertex_distances(refined, simulated), ray_ends(betas))
         if len(rows) > 1:
@@ -265,13 +268,17 @@ def measure_spread(
 
 
 def measure_dressed(
-    table: Table, root: Path, here: SimulatedGarment, rows: np.ndarray, pipeline: Pipeline, fabrics: Sequence[str]
+    table: Table,
+    root: Path,
+    here: SimulatedGarment,
+    rows: np.ndarray,
+    predicted: Mapping[str, Prediction],
+    model: TryOnModel,
 ) -> None:
     """Distances from the drapes of the same mesh that were dressed by themselves."""
     count = here.garment.num_vertices
-    predicted = pipeline(here, rows, fabrics)
-    for fabric in fabrics:
-        there = load_drapes(pipeline.model, root, here.name, fabric)
+    for fabric in predicted:
+        there = load_drapes(model, root, here.name, fabric)
         pairs = [
             (k, np.flatnonzero((there.betas == here.betas[row]).all(axis=1) & there.good)) for k, row in enumerate(rows)
         ]

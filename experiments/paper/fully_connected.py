@@ -108,7 +108,7 @@ def main(config: Config) -> None:
             "steps": result.curve[-1]["step"],
             "seconds": round(result.seconds),
             "curve": result.curve,
-            "ours": read_record(weights).get("training", {}).get("smooth", {}).get("samples"),
+            "ours": read_record(weights).get("training", {}).get(f"fine-{config.fabric}", {}).get("samples"),
         },
         "designs": found,
         **summarise(found),
@@ -178,7 +178,7 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         "drape at the dense mesh, whose targets are carried over in UV from the simulated meshes; trained by AdamW on "
         f"{training['samples']} samples of {training['garments']} garments, {training['steps']} steps in "
         f"{training['seconds'] / 60:.0f} minutes. Ours learned from {training.get('ours') or 'an unknown number of'} "
-        "samples of the same splits, those carried over to fresh topologies among them.",
+        "samples of the same splits, simulated ones and, where such were trained on, carried over ones.",
         "",
         "| design | test shapes | Hausdorff, ours, mm | fully connected, mm | factor | shapes where ours is lower | "
         "mean per vertex, ours · fully connected, mm |",

@@ -16,13 +16,13 @@ from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import DatasetConfig, open_dataset
 from tryon_jax.training.garments import load_simulated, training_shapes
 from tryon_jax.training.generate import run_batch
+from tryon_jax.training.kriging_stage import fit_kriging
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.mean import MeanTraining
 from tryon_jax.training.plan import plan
 from tryon_jax.training.recipes import (
     StageOptions,
     fit_fine,
-    fit_kriging,
     fit_mean,
     fit_smooth,
     load_fine_sets,

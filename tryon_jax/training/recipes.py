@@ -10,7 +10,6 @@ the record of its earlier training stays inside the new one.
 import hashlib
 import json
 import platform
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from dataclasses import asdict, dataclass, field, replace
@@ -27,7 +26,6 @@ from tryon_jax.files.atomic import write_text
 from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
-from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import count_parameters
 from tryon_jax.physics.fabrics import Fabric, load_fabric
 from tryon_jax.training.carried import fresh_topologies
@@ -35,7 +33,7 @@ from tryon_jax.training.collisions import with_fine
 from tryon_jax.training.dataset import read_config
 from tryon_jax.training.drapes import has_drapes
 from tryon_jax.training.garments import SimulatedGarment, load_cloth, load_simulated
-from tryon_jax.training.kriging import KrigingFit, kriged_starts, kriging_error
+from tryon_jax.training.kriging import KrigingFit, kriged_starts
 from tryon_jax.training.loop import LoopOptions, TimeLimits, train_loop
 from tryon_jax.training.mean import MeanTraining, load_templates, mean_error, train_mean
 from tryon_jax.training.node_drapes import read_nodes
@@ -199,48 +197,6 @@ def _training_samples(
     names = training_names(root, manifest, options.designs)
     loaded = load_samples(model, root, names) if samples is None else list(samples)
     return names, loaded + fresh_topologies(model, root, loaded, manifest, options.fresh)
-
-
-def fit_kriging(
-    root: Path,
-    run: Path,
-    fabrics: Sequence[str],
-    config: KrigingConfig,
-    seed: int = 0,
-    samples: Sequence[SimulatedGarment] | None = None,
-) -> TryOnModel:
-    """Krige the drapes of designs in each fabric, for a run whose R_mean is trained: R_fine then starts anew from them.
-
-    Args:
-        root: Folder of the dataset.
-        run: Folder of the run.
-        fabrics: Whose drapes: all single ones of the run's model.
-        config: Of the processes.
-        seed: Of R_fine's weights before its training.
-        samples: As in `fit_smooth`.
-    """
-    model, manifest = load_model(model_path(run)), load_manifest()
-    names = training_names(root, manifest)
-    samples = load_samples(model, root, names) if samples is None else samples
-    model = replace(model, config=replace(model.config, kriging=config))
-    record = store.read_record(model_path(run)).get("training", {})
-    found = {}
-    for fabric in tqdm(fabrics, desc="kriging"):
-        began = time.monotonic()
-        drapes = read_nodes(model, samples, manifest, fabric)
-        found[fabric] = KrigingFit(drapes, config).kriging
-        record[f"kriging-{fabric}"] = {
-            "garments": len(drapes.rows),
-            "samples": len(drapes.fields),
-            "validation_mm": kriging_error(model, found[fabric], samples, manifest, fabric),
-            "seconds": round(time.monotonic() - began),
-            "options": asdict(config),
-            "dataset": dataset_checksum(root, names),
-        }
-    fresh = init_model(jax.random.key(seed), model.config, body=model.body).fine
-    model = replace(model, kriging=found, fine=model.fine | {fabric: fresh[fabric] for fabric in fabrics})
-    save_model(model_path(run), model, record)
-    return model
 
 
 def fit_fine(
