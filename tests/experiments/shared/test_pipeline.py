@@ -1,0 +1,52 @@
+"""Predictions of the experiments: with kriged drapes, and as for a mesh without a design."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+from experiments.shared.evaluate import Pipeline
+from tests.experiments.known_data import FABRICS, known_model
+from tests.tryon.test_kriged_drape import random_drapes
+from tryon_jax.nets.kriging import KrigingConfig
+from tryon_jax.nets.unet import UNetConfig
+from tryon_jax.tryon import TryOnModel, base_and_detail, drape, fine_base, init_model, prepare
+
+BETAS = np.array([[0.5, -1.0], [0.0, 0.0]], np.float32)
+
+
+@pytest.fixture(scope="module")
+def model() -> TryOnModel:
+    plain = known_model()
+    config = replace(
+        plain.config,
+        kriging=KrigingConfig(degree=3, shape_degree=2, components=4),
+        kriged_fine=UNetConfig(widths=(5,)),
+        shared_fabrics=FABRICS[:1],
+    )
+    made = replace(init_model(jax.random.key(1), config, body=plain.body), mean=plain.mean)
+    return replace(made, kriging={f: random_drapes(made, k, i) for i, (f, k) in enumerate(made.kriging.items())})
+
+
+def test_predictions_are_drapes(model: TryOnModel) -> None:
+    samples: Any = SimpleNamespace(garment=prepare(model), betas=BETAS)
+    garment, rows = samples.garment, np.arange(2)
+    pipeline = Pipeline(model)
+    found = pipeline(samples, rows, FABRICS)
+    detail = fine_base(model.config, base_and_detail(model.config, garment)[1])
+    for fabric in FABRICS:
+        np.testing.assert_allclose(found[fabric].fine, garment.unpad(drape(model, garment, BETAS, fabric)), atol=2e-6)
+        # R_fine has not been trained: it adds next to nothing.
+        assert np.abs(found[fabric].fine - found[fabric].start).max() < 0.5 * np.abs(found[fabric].start).max()
+        assert np.abs(found[fabric].start - found[fabric].smooth - garment.unpad(detail)[None]).max() > 1e-3
+    bare = prepare(model, mesh=(garment.mean_vertices, garment.faces))
+    expected = bare.unpad(drape(model, bare, BETAS, FABRICS[0]))
+    without = pipeline.without_design(samples, rows, FABRICS[0])
+    assert without is not None
+    assert without.shape == expected.shape
+    assert pipeline.without_design(samples, rows, FABRICS[1]) is None
+    # The mesh alone has no pattern to build its hierarchy from, but the same networks drape it.
+    np.testing.assert_allclose(without.mean(axis=1), expected.mean(axis=1), atol=5e-3)
