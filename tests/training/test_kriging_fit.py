@@ -12,7 +12,7 @@ from tryon_jax.nets.config import load_config
 from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.kriging import KrigingFit, kriged_starts, kriging_error
+from tryon_jax.training.kriging import STEP, WEIGHT_STEP, KrigingFit, kriged_starts, kriging_error
 from tryon_jax.training.node_drapes import NodeReader, read_nodes
 from tryon_jax.training.recipes import load_samples
 from tryon_jax.training.stages import split_validation
@@ -57,9 +57,23 @@ def test_leaving_drapes_out_is_fitting_without_them(model: TryOnModel, samples: 
     normal = functions[kept].T @ functions[kept] + CONFIG.nugget * np.eye(functions.shape[1])
     weights = np.linalg.solve(normal, functions[kept].T @ coordinates[kept])
     components = np.asarray(fit.kriging.components).reshape(CONFIG.components, -1)
-    expected = (functions[rows] @ weights) @ components + np.asarray(fit.kriging.mean).ravel()
-    np.testing.assert_allclose(found.reshape(len(rows), -1), expected, atol=1e-5)
+    spread = np.sqrt((coordinates**2).mean(axis=0))
+    expected = (functions[rows] @ weights / spread[None]) @ components + np.asarray(fit.kriging.mean).ravel()
+    # The process that is kept is rounded to hundredths of a millimetre.
+    np.testing.assert_allclose(found.reshape(len(rows), -1), expected, atol=2e-4)
+    assert np.abs(found.reshape(len(rows), -1) - expected).mean() < 2e-5
     assert np.abs(found).max() > 1e-3
+
+
+def test_what_is_kept_is_rounded_and_predicts_the_same(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    drapes = read_nodes(model, samples, MANIFEST, FABRIC)
+    fit = KrigingFit(drapes, CONFIG)
+    components, weights = (np.asarray(a, np.float64) for a in (fit.kriging.components, fit.kriging.weights))
+    for array, step in ((components, STEP), (weights, WEIGHT_STEP)):
+        np.testing.assert_array_equal(array / step, np.rint(array / step))
+    kept = np.asarray(fit.kriging.mean)[None] + np.einsum("sf,fr,rqc->sqc", fit.functions, weights, components)
+    off = np.linalg.norm(kept.reshape(len(kept), -1, 3) - fit.predict(drapes).reshape(len(kept), -1, 3), axis=2)
+    assert off.mean() < 1e-4
 
 
 def test_starts_leave_the_own_design_out(model: TryOnModel, samples: list[SimulatedGarment]) -> None:

@@ -59,9 +59,9 @@ class Kriging:
     mean: Float[ArrayLike, "Q 3"]
     """Mean displacement of the training drapes at each node, metres."""
     components: Float[ArrayLike, "R Q 3"]
-    """Principal components of their displacements, of unit length."""
+    """Principal components of their displacements, each as large as one standard deviation of it, metres."""
     weights: Float[ArrayLike, "F R"]
-    """Of each eigenfunction in each component's coordinate, metres."""
+    """Of each eigenfunction in each component's coordinate, standard deviations."""
     design_center: Float[ArrayLike, " P"]
     design_scale: Float[ArrayLike, " P"]
     """The kernel sees (design − center) / scale: half ranges of the design space."""

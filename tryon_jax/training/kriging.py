@@ -22,6 +22,11 @@ from tryon_jax.training.node_drapes import NodeDrapes, NodeReader, rows_of
 from tryon_jax.training.stages import Predictor, fine_sets, validation_error
 from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base
 
+STEP = 2.0**-17
+"""Components are rounded to so many metres: files then compress to half their size, and drapes change by 0.05 mm."""
+WEIGHT_STEP = 2.0**-9
+"""The same for weights, in standard deviations of a coordinate: 0.01 mm."""
+
 _joint_eigenfunctions = jax.jit(joint_eigenfunctions, static_argnums=2)
 _base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 
@@ -48,7 +53,10 @@ class KrigingFit:
         self._weights = scipy.linalg.cho_solve(self._factor, self.functions.T @ self.coordinates)
         self._left = self.coordinates - self.functions @ self._weights
         self._config = config
-        arrays = (self._mean.reshape(-1, 3), self._basis.T.reshape(config.components, -1, 3), self._weights)
+        spread = np.maximum(np.sqrt((self.coordinates**2).mean(axis=0)), 1e-9)
+        components = np.rint(self._basis * spread[None] / STEP) * STEP
+        weights = np.rint(self._weights / spread[None] / WEIGHT_STEP) * WEIGHT_STEP
+        arrays = (self._mean.reshape(-1, 3), components.T.reshape(config.components, -1, 3), weights)
         mean, components, weights, middle, half, extent = (
             jnp.asarray(array, jnp.float32) for array in (*arrays, drapes.middle, drapes.half, drapes.extent)
         )
