@@ -20,7 +20,7 @@ from tryon_jax.nets.kriging import (
     empty_kriging,
     exponents,
     function_pairs,
-    joint_eigenfunctions,
+    joint_functions,
     kriged_fields,
     quadratic_element,
 )
@@ -55,21 +55,24 @@ def test_products_of_the_eigenfunctions_add_up_to_the_kernel() -> None:
     assert all(later < 0.5 * earlier for earlier, later in pairwise(errors))
 
 
-def test_joint_functions_are_products_up_to_a_degree() -> None:
+def test_joint_functions_are_products_up_to_a_degree_and_a_trend() -> None:
     rng = np.random.default_rng(2)
     designs, shapes = jnp.asarray(rng.uniform(-1, 1, (6, 3))), jnp.asarray(rng.uniform(-1, 1, (6, 2)))
-    found = np.asarray(joint_eigenfunctions(designs, shapes, CONFIG))
-    degrees = exponents(3, CONFIG.degree), exponents(2, CONFIG.shape_degree)
-    first, second = function_pairs(*degrees, CONFIG.degree)
+    found = np.asarray(joint_functions(designs, shapes, CONFIG))
+    first, second = function_pairs(CONFIG, 3, 2)
     assert found.shape == (6, len(first))
-    assert (degrees[0][first].sum(axis=1) + degrees[1][second].sum(axis=1)).max() == CONFIG.degree
+    degrees = exponents(3, CONFIG.degree), exponents(2, CONFIG.shape_degree)
     one = np.asarray(eigenfunctions(designs, CONFIG.design, CONFIG.spread, degrees[0]))
     other = np.asarray(eigenfunctions(shapes, CONFIG.shape, CONFIG.spread, degrees[1]))
-    every = (one[:, :, None] * other[:, None, :]).reshape(6, -1)
+    kernel = len(first) - 12
+    assert (degrees[0][first[:kernel]].sum(axis=1) + degrees[1][second[:kernel]].sum(axis=1)).max() == CONFIG.degree
     # Each is one of the products, and none is there twice.
-    columns = first * other.shape[1] + second
-    assert len(set(columns.tolist())) == len(columns)
-    np.testing.assert_allclose(found, every[:, columns], rtol=1e-6)
+    assert len(set(zip(first.tolist(), second.tolist(), strict=True))) == len(first)
+    np.testing.assert_allclose(found[:, :kernel], one[:, first[:kernel]] * other[:, second[:kernel]], rtol=1e-6)
+    linear = [np.concatenate([np.ones((6, 1)), points], axis=1) for points in (designs, shapes)]
+    np.testing.assert_allclose(
+        found[:, kernel:], (linear[0][:, :, None] * linear[1][:, None]).reshape(6, 12), rtol=1e-6
+    )
 
 
 def test_the_quadratic_element_is_exact_for_quadratic_functions() -> None:
@@ -102,15 +105,16 @@ def test_the_fields_weighted_by_the_shape_functions_are_the_process() -> None:
     fields = kriged_fields(kriging, design, corners, weights)
     found = np.einsum("nck,bk->bnc", fields, apply_shape_functions(kriging.shapes, betas))
     scaled = jnp.broadcast_to((design / kriging.design_scale)[None], (3, 3))
-    values = joint_eigenfunctions(scaled, betas / jnp.array([[3.0, 2.0]]), CONFIG)
+    values = joint_functions(scaled, betas / jnp.array([[3.0, 2.0]]), CONFIG)
     at_nodes = np.einsum("bf,fr,rqc->bqc", values, kriging.weights, kriging.components) + np.asarray(kriging.mean)
     nodes, shares = quadratic_element(EDGES, 4, corners, weights)
     np.testing.assert_allclose(found, np.einsum("vn,bvnc->bvc", shares, at_nodes[:, nodes]), rtol=1e-4, atol=1e-4)
 
 
-def test_far_from_all_shapes_only_the_mean_is_left() -> None:
+def test_far_from_all_shapes_only_the_trend_is_left() -> None:
     values = np.asarray(apply_shape_functions(random_kriging().shapes, jnp.array([[30.0, 20.0]])))
-    np.testing.assert_allclose(values, np.eye(values.shape[1])[-1:], atol=1e-6)
+    np.testing.assert_allclose(values[0, -3:], [1.0, 10.0, 10.0], rtol=1e-6)
+    np.testing.assert_allclose(values[0, :-3], 0.0, atol=1e-6)
 
 
 def test_it_is_differentiable_in_design_and_betas() -> None:

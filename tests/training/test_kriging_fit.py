@@ -54,7 +54,7 @@ def test_leaving_drapes_out_is_fitting_without_them(model: TryOnModel, samples: 
     found = fit.without(rows)
     functions, coordinates = fit.functions, fit.coordinates
     kept = np.setdiff1d(np.arange(len(functions)), rows)
-    normal = functions[kept].T @ functions[kept] + CONFIG.nugget * np.eye(functions.shape[1])
+    normal = functions[kept].T @ functions[kept] + np.diag(fit.ridge)
     weights = np.linalg.solve(normal, functions[kept].T @ coordinates[kept])
     components = np.asarray(fit.kriging.components).reshape(CONFIG.components, -1)
     spread = np.sqrt((coordinates**2).mean(axis=0))

@@ -1,10 +1,11 @@
 """Drapes of all designs as a Gaussian process of design and body shape, at the nodes of the template.
 
-The process has one squared-exponential kernel for all coordinates. In place of a weight for each of some thousand
-training drapes it keeps weights of the kernel's own leading eigenfunctions, which are products of Hermite functions
-(Rasmussen and Williams 2006, section 4.3.1). A prediction is therefore smooth in design and body shape, and far
-outside of both ranges it goes back to the mean drape. For one design it is a sum of fields whose weights depend on the
-body's shape alone.
+The process has one squared-exponential kernel for all coordinates and a trend that is linear in the body's shape and
+in the design (Rasmussen and Williams 2006, section 2.7). In place of a weight for each of some thousand training drapes
+it keeps weights of the trend's functions and of the kernel's own leading eigenfunctions, which are products of Hermite
+functions (section 4.3.1). A prediction is therefore smooth in design and body shape, and where no drape is near, as of
+tight garments on large bodies, the trend alone lets the cloth follow the body. For one design it is a sum of fields
+whose weights depend on the body's shape alone.
 """
 
 import functools
@@ -43,7 +44,7 @@ class KrigingConfig:
 
 @pytree
 class ShapeFunctions:
-    """Functions of the betas that weight the fields of one design: eigenfunctions of the kernel, and a constant."""
+    """Functions of the betas that weight the fields of one design: the kernel's, a constant, and the betas."""
 
     shape_scale: Float[ArrayLike, " b"]
     """Half axes of what the dataset covers, standard deviations."""
@@ -61,7 +62,7 @@ class Kriging:
     components: Float[ArrayLike, "R Q 3"]
     """Principal components of their displacements, each as large as one standard deviation of it, metres."""
     weights: Float[ArrayLike, "F R"]
-    """Of each eigenfunction in each component's coordinate, standard deviations."""
+    """Of each function, the kernel's first, in each component's coordinate, standard deviations."""
     design_center: Float[ArrayLike, " P"]
     design_scale: Float[ArrayLike, " P"]
     """The kernel sees (design − center) / scale: half ranges of the design space."""
@@ -82,8 +83,7 @@ def empty_kriging(config: KrigingConfig, template_vertices: int, parameters: int
         parameters: Of a design.
         betas: Of a body.
     """
-    degrees = exponents(parameters, config.degree), exponents(betas, config.shape_degree)
-    functions = len(function_pairs(*degrees, config.degree)[0])
+    functions = len(function_pairs(config, parameters, betas)[0])
     return Kriging(
         jnp.zeros((config.nodes - template_vertices, 2), jnp.int32),
         jnp.zeros((config.nodes, 3)),
@@ -104,57 +104,61 @@ def kriged_fields(
     """The displacement fields of one design at the vertices of a mesh; `apply_shape_functions` weights them.
 
     Args:
-        kriging: From `fit_kriging`.
+        kriging: From `KrigingFit`.
         design: Parameters, metres.
         template_vertices: Vertices of the template triangle in which each vertex lies.
         template_weights: Its barycentric weights there; zeros for padding.
 
     Returns:
-        Fields, metres; the last one is the mean displacement.
+        Fields, metres; the mean displacement is in that of the constant.
     """
-    config, count = kriging.shapes.config, jnp.shape(kriging.shapes.shape_scale)[0]
+    config, betas = kriging.shapes.config, jnp.shape(kriging.shapes.shape_scale)[0]
     scaled = (design - jnp.asarray(kriging.design_center)) / jnp.asarray(kriging.design_scale)
-    degrees = exponents(len(scaled), config.degree), exponents(count, config.shape_degree)
-    of_design, of_shape = function_pairs(*degrees, config.degree)
-    values = eigenfunctions(scaled[None], config.design, config.spread, degrees[0])[0]
+    of_design, of_shape = function_pairs(config, len(scaled), betas)
+    values = _with_trend(scaled[None], config.design, config.spread, config.degree)[0]
     weighted = values[of_design][:, None] * jnp.asarray(kriging.weights)
-    coordinates = jnp.zeros((len(degrees[1]), weighted.shape[1]), weighted.dtype).at[of_shape].add(weighted)
-    components, mean = jnp.asarray(kriging.components), jnp.asarray(kriging.mean)
-    at_nodes = jnp.einsum("kr,rqc->qck", coordinates, components, precision=EXACT)
-    at_nodes = jnp.concatenate([at_nodes, mean[..., None].astype(at_nodes.dtype)], axis=-1)
+    kernel_functions = len(exponents(betas, config.shape_degree))
+    count = kernel_functions + 1 + betas
+    coordinates = jnp.zeros((count, weighted.shape[1]), weighted.dtype).at[of_shape].add(weighted)
+    at_nodes = jnp.einsum("kr,rqc->qck", coordinates, jnp.asarray(kriging.components), precision=EXACT)
+    at_nodes = at_nodes.at[..., kernel_functions].add(jnp.asarray(kriging.mean))
     nodes, shares = quadratic_element(kriging.edges, kriging.num_vertices, template_vertices, template_weights)
     return jnp.einsum("vn,vnck->vck", shares, at_nodes[nodes], precision=EXACT)
 
 
 def apply_shape_functions(functions: ShapeFunctions, betas: Float[Array, "B b"]) -> Float[Array, "B K"]:
-    """Weights of a design's fields for bodies of shape `betas`; the last is 1.
+    """Weights of a design's fields for bodies of shape `betas`.
 
     Args:
         functions: Of the process.
         betas: Standard deviations.
     """
     config = functions.config
-    scaled = betas / jnp.asarray(functions.shape_scale)[None]
-    degrees = exponents(betas.shape[1], config.shape_degree)
-    values = eigenfunctions(scaled, config.shape, config.spread, degrees)
-    return jnp.concatenate([values, jnp.ones_like(values[:, :1])], axis=1)
+    return _with_trend(
+        betas / jnp.asarray(functions.shape_scale)[None], config.shape, config.spread, config.shape_degree
+    )
 
 
-def joint_eigenfunctions(
+def joint_functions(
     designs: Float[Array, "S P"], shapes: Float[Array, "S b"], config: KrigingConfig
 ) -> Float[Array, "S F"]:
-    """The kernel's leading eigenfunctions at pairs of a design and a body shape; `Kriging.weights` are theirs.
+    """All functions of the process at pairs of a design and a body shape; `Kriging.weights` are theirs.
 
     Args:
         designs: In half ranges of the parameters, about their middle.
         shapes: In half axes of what the dataset covers.
-        config: Of the kernel.
+        config: Of the process.
     """
-    degrees = exponents(designs.shape[1], config.degree), exponents(shapes.shape[1], config.shape_degree)
-    of_design, of_shape = function_pairs(*degrees, config.degree)
-    one = eigenfunctions(designs, config.design, config.spread, degrees[0])
-    other = eigenfunctions(shapes, config.shape, config.spread, degrees[1])
+    of_design, of_shape = function_pairs(config, designs.shape[1], shapes.shape[1])
+    one = _with_trend(designs, config.design, config.spread, config.degree)
+    other = _with_trend(shapes, config.shape, config.spread, config.shape_degree)
     return one[:, of_design] * other[:, of_shape]
+
+
+def _with_trend(points: Float[Array, "S d"], length: float, spread: float, degree: int) -> Float[Array, "S F"]:
+    """The kernel's functions, a constant, and the coordinates."""
+    kernel = eigenfunctions(points, length, spread, exponents(points.shape[1], degree))
+    return jnp.concatenate([kernel, jnp.ones_like(points[:, :1]), points], axis=1)
 
 
 def eigenfunctions(
@@ -190,18 +194,24 @@ def exponents(dimensions: int, degree: int) -> Int[np.ndarray, "F d"]:
 
 
 def function_pairs(
-    designs: Int[np.ndarray, "D P"], shapes: Int[np.ndarray, "S b"], degree: int
+    config: KrigingConfig, parameters: int, betas: int
 ) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, " F"]]:
-    """Which function of the design and which of the body shape make up each eigenfunction.
+    """Which function of the design and which of the body shape make up each function of the process.
+
+    First the kernel's, up to a total degree, then those of the trend: products of a constant or a parameter and a
+    constant or a beta.
 
     Args:
-        designs: Degrees of the functions of the design.
-        shapes: The same of the body shape.
-        degree: Largest one of a product.
+        config: Of the process.
+        parameters: Of a design.
+        betas: Of a body.
     """
+    designs, shapes = exponents(parameters, config.degree), exponents(betas, config.shape_degree)
     total = designs.sum(axis=1)[:, None] + shapes.sum(axis=1)[None]
-    first, second = np.nonzero(total <= degree)
-    return first.astype(np.int32), second.astype(np.int32)
+    first, second = np.nonzero(total <= config.degree)
+    trend = np.indices((parameters + 1, betas + 1)).reshape(2, -1)
+    of_design = np.concatenate([first, len(designs) + trend[0]])
+    return of_design.astype(np.int32), np.concatenate([second, len(shapes) + trend[1]]).astype(np.int32)
 
 
 def quadratic_element(

@@ -16,18 +16,20 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from tryon_jax.garment.manifest import Manifest
-from tryon_jax.nets.kriging import Kriging, KrigingConfig, ShapeFunctions, joint_eigenfunctions
+from tryon_jax.nets.kriging import Kriging, KrigingConfig, ShapeFunctions, joint_functions
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.node_drapes import NodeDrapes, NodeReader, rows_of
 from tryon_jax.training.stages import Predictor, fine_sets, validation_error
 from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base
 
+FREE = 1e-3
+"""Ridge of the trend's functions over the nugget: as good as none, but enough where few drapes tell them."""
 STEP = 2.0**-17
 """Components are rounded to so many metres: files then compress to half their size, and drapes change by 0.05 mm."""
 WEIGHT_STEP = 2.0**-9
 """The same for weights, in standard deviations of a coordinate: 0.01 mm."""
 
-_joint_eigenfunctions = jax.jit(joint_eigenfunctions, static_argnums=2)
+_joint_functions = jax.jit(joint_functions, static_argnums=2)
 _base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 
 
@@ -35,7 +37,7 @@ class KrigingFit:
     """A process fitted to drapes, and what it would be without some of them."""
 
     def __init__(self, drapes: NodeDrapes, config: KrigingConfig) -> None:
-        """Fit: principal components, then ridge regression, the nugget being the ridge.
+        """Fit: principal components, then ridge regression, the nugget being the ridge of the kernel's functions.
 
         Args:
             drapes: What to fit.
@@ -46,9 +48,12 @@ class KrigingFit:
         centred = drapes.fields - self._mean[None]
         self._basis = principal_components(centred, config.components)
         self.coordinates = (centred @ self._basis).astype(np.float64)
-        self.functions = np.asarray(_joint_eigenfunctions(drapes.designs, drapes.shapes, config), np.float64)
+        self.functions = np.asarray(_joint_functions(drapes.designs, drapes.shapes, config), np.float64)
         normal = self.functions.T @ self.functions
-        normal[np.diag_indices(len(normal))] += config.nugget
+        trend = (1 + drapes.designs.shape[1]) * (1 + drapes.shapes.shape[1])
+        self.ridge = np.full(len(normal), config.nugget)
+        self.ridge[-trend:] *= FREE
+        normal[np.diag_indices(len(normal))] += self.ridge
         self._factor = scipy.linalg.cho_factor(normal, lower=True)
         self._weights = scipy.linalg.cho_solve(self._factor, self.functions.T @ self.coordinates)
         self._left = self.coordinates - self.functions @ self._weights
@@ -69,7 +74,7 @@ class KrigingFit:
         Args:
             drapes: Their designs and body shapes.
         """
-        functions = np.asarray(_joint_eigenfunctions(drapes.designs, drapes.shapes, self._config), np.float64)
+        functions = np.asarray(_joint_functions(drapes.designs, drapes.shapes, self._config), np.float64)
         return self._mean[None] + (functions @ self._weights).astype(np.float32) @ self._basis.T
 
     def without(self, rows: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R Q 3"]:
