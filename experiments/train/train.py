@@ -12,7 +12,13 @@ from tryon_jax.nets.config import Size
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
+from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.recipes import StageOptions, model_path
+
+KRIGED_COLLISIONS = CollisionOptions(
+    LoopOptions(steps=4000, learning_rate=8e-4, evaluate_every=1000, weight_decay=0.0), pool=256
+)
+"""From kriged drapes R_fine predicts smaller displacements: it has farther to go, in its own units."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +37,11 @@ class Config:
     """Steps of R_smooth's training."""
     kriging: bool = True
     """R_fine starts from kriged drapes of designs in place of M_smooth; never in the paper's form."""
-    fine_steps: int = 12000
-    """Steps of R_fine's, for each fabric."""
-    collision_steps: int = 2000
-    """Steps of the collision step, for each fabric; none leave it out."""
+    fine_steps: int | None = None
+    """Steps of R_fine's, for each fabric; by default 6000 from kriged drapes and 12000 from M_smooth."""
+    collision_steps: int | None = None
+    """Steps of the collision step, for each fabric, 0 leaves it out; by default 4000 from kriged drapes, which leave
+    more of them, and 2000 from M_smooth."""
     shapes: int = 16
     """Body shapes of each garment in a batch."""
     evaluate_every: int = 1000
@@ -48,14 +55,17 @@ def main(config: Config) -> None:
     if not (config.run / "mean" / "curve.json").exists():
         train_mean.main(train_mean.Config(config.data, config.run, config.size, config.reference))
     train_smooth.main(train_smooth.Config(config.data, config.run, _options(config, config.smooth_steps)))
-    if config.kriging and not config.size.endswith("-node") and not _has_kriging(config.run):
+    kriged = config.kriging and not config.size.endswith("-node")
+    if kriged and not _has_kriging(config.run):
         train_kriging.main(train_kriging.Config(config.data, config.run))
+    fine_steps = (6000 if kriged else 12000) if config.fine_steps is None else config.fine_steps
     with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
-        train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, config.fine_steps)), pool)
-        if config.collision_steps:
-            step = CollisionOptions()
-            every = min(step.loop.evaluate_every, config.collision_steps)
-            step = replace(step, loop=replace(step.loop, steps=config.collision_steps, evaluate_every=every))
+        train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, fine_steps)), pool)
+        step = KRIGED_COLLISIONS if kriged else CollisionOptions()
+        steps = step.loop.steps if config.collision_steps is None else config.collision_steps
+        if steps:
+            every = min(step.loop.evaluate_every, steps)
+            step = replace(step, loop=replace(step.loop, steps=steps, evaluate_every=every))
             train_collisions.main(train_collisions.Config(config.run, (), config.data, step), pool)
 
 
