@@ -107,6 +107,20 @@ def test_the_error_is_the_distance_on_validation_shapes(model: TryOnModel, sampl
     assert errors[0] < 0.5 * errors[1]
 
 
+def test_drapes_at_rest_are_fitted_good_or_not(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
+    train = split_validation(samples[0], MANIFEST)[0]
+    good = samples[0].good[FABRIC].copy()
+    good[np.flatnonzero(train)[:3]] = False
+    s = replace(samples[0], good={FABRIC: good})
+    rested = train & s.resting[FABRIC]
+    assert (rested & ~good).any()
+    assert len(read_nodes(model, [s], MANIFEST, FABRIC).fields) == rested.sum()
+    assert s.drapes[FABRIC][rested].any(axis=(1, 2)).all()
+    assert not s.drapes[FABRIC][~good & ~s.resting[FABRIC]].any()
+    held = read_nodes(model, [s], MANIFEST, FABRIC, "validation")
+    assert len(held.fields) == (split_validation(s, MANIFEST)[1] & good).sum()
+
+
 def test_other_drapes_are_predicted(model: TryOnModel, samples: list[SimulatedGarment]) -> None:
     fitted = read_nodes(model, samples, MANIFEST, FABRIC)
     held = read_nodes(model, samples, MANIFEST, FABRIC, "validation")
@@ -127,6 +141,6 @@ def test_test_garments_and_carried_ones_are_refused(model: TryOnModel, samples: 
         read_nodes(model, [replace(samples[0], name="tshirt-100")], MANIFEST, FABRIC)
     with pytest.raises(ValueError, match="not to 'tshirt-0', which was carried over"):
         read_nodes(model, [replace(samples[0], source="dress-0")], MANIFEST, FABRIC)
-    bad = replace(samples[0], good={FABRIC: np.zeros_like(samples[0].test)})
-    with pytest.raises(ValueError, match="at least one good drape"):
+    bad = replace(samples[0], resting={FABRIC: np.zeros_like(samples[0].test)})
+    with pytest.raises(ValueError, match="at least one drape at rest"):
         read_nodes(model, [bad], MANIFEST, FABRIC)

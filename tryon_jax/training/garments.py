@@ -1,7 +1,7 @@
 """Training samples in memory: prepared garments with their simulated drapes, split enforced when they are read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +38,7 @@ class SimulatedGarment:
     test: Bool[np.ndarray, " S"]
     """True for shapes that are only for testing."""
     drapes: dict[str, Float[np.ndarray, "S N 3"]]
-    """Simulated vertices by fabric, metres; zero where not good and at padding."""
+    """Simulated vertices by fabric, metres; zero where neither good nor at rest, and at padding."""
     good: dict[str, Bool[np.ndarray, " S"]]
     """Which samples the rules keep."""
     target: Float[np.ndarray, "S N 3"]
@@ -47,6 +47,9 @@ class SimulatedGarment:
     """Samples whose target may be learned: every fabric is at rest and at least one is good."""
     source: str = ""
     """The simulated garment whose drapes were carried over to this mesh (`carried`); empty where they are its own."""
+    resting: dict[str, Bool[np.ndarray, " S"]] = field(default_factory=dict)
+    """Which samples are at rest, good or not: where a garment is too tight for a body, no drape is good, but the
+    simulation tells where it would hang."""
 
     @property
     def label(self) -> str:
@@ -111,10 +114,10 @@ def load_simulated(
     keys = sorted(set.union(*[set(table) for table in tables.values()]))
     size, count = garment.graph.num_nodes, garment.num_vertices
     betas = np.array(keys, np.float32)
-    drapes, good, resting = {}, {}, np.ones(len(keys), bool)
+    drapes, good, rests, resting = {}, {}, {}, np.ones(len(keys), bool)
     total = np.zeros((len(keys), size, 3), np.float32)
     for fabric, table in tables.items():
-        stacked, keep = np.zeros_like(total), np.zeros(len(keys), bool)
+        stacked, keep, still = np.zeros_like(total), np.zeros(len(keys), bool), np.zeros(len(keys), bool)
         for i, key in enumerate(keys):
             sample = table.get(key)
             if sample is None:
@@ -122,15 +125,16 @@ def load_simulated(
                 continue
             total[i, :count] += sample.vertices / len(tables)
             resting[i] &= sample.resting
-            if sample.good:
-                stacked[i, :count], keep[i] = sample.vertices, True
-        drapes[fabric], good[fabric] = stacked, keep
+            keep[i], still[i] = sample.good, sample.resting
+            if sample.good or sample.resting:
+                stacked[i, :count] = sample.vertices
+        drapes[fabric], good[fabric], rests[fabric] = stacked, keep, still
     test = np.array([next(t[key].test for t in tables.values() if key in t) for key in keys])
     # Fabrics differ by a centimetre. If one were left out of the average where its garment could not be put on, the
     # target would jump between body shapes, so its simulation counts here even if R_fine never sees it.
     usable = resting & np.any([good[f] for f in fabrics], axis=0)
     target = _smooth_all(garment.smoother, total)
-    return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable)
+    return SimulatedGarment(name, garment, betas, test, drapes, good, target, usable, resting=rests)
 
 
 def load_cloth(root: Path, samples: SimulatedGarment) -> Cloth:

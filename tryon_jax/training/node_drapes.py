@@ -103,7 +103,7 @@ class NodeDrapes:
 def read_nodes(
     model: TryOnModel, samples: Sequence[SimulatedGarment], manifest: Manifest, fabric: str, part: Part = "training"
 ) -> NodeDrapes:
-    """The good drapes of all training shapes, or of those that choose between models.
+    """The drapes of all training shapes, or of those that choose between models (see `rows_of`).
 
     Args:
         model: Its template, design space and range of betas.
@@ -114,7 +114,7 @@ def read_nodes(
 
     Raises:
         PermissionError: A garment's design or topology is for testing.
-        ValueError: No garment has a good drape, or one was carried over and not simulated.
+        ValueError: No garment has a drape to fit, or one was carried over and not simulated.
     """
     if carried := next((s.name for s in samples if s.source), None):
         raise ValueError(f"kriging is fitted to simulated garments, not to {carried!r}, which was carried over")
@@ -135,7 +135,7 @@ def read_nodes(
         designs.append(np.broadcast_to((np.asarray(s.garment.design) - middle) / half, (len(chosen), len(middle))))
         shapes.append(s.betas[chosen] / extent[None])
     if not count:
-        raise ValueError(f"kriging needs at least one good drape in {fabric!r}")
+        raise ValueError(f"kriging needs at least one drape at rest in {fabric!r}")
     stacked, design_rows, shape_rows = (np.concatenate(p).astype(np.float32) for p in (fields, designs, shapes))
     return NodeDrapes(reader.edges, middle, half, extent, stacked, design_rows, shape_rows, rows)
 
@@ -143,7 +143,10 @@ def read_nodes(
 def rows_of(
     samples: SimulatedGarment, manifest: Manifest, fabric: str, part: Part = "training"
 ) -> Int[np.ndarray, " R"]:
-    """The good samples of a garment that are fitted, or that choose between models.
+    """The samples of a garment that are fitted, or the good ones that choose between models.
+
+    Drapes at rest are fitted whether they are good or not. Without those of garments that are too tight for a body
+    nothing would be known there, and a process that knows nothing lets cloth hang as on the mean body.
 
     Args:
         samples: The garment.
@@ -151,5 +154,6 @@ def rows_of(
         fabric: Whose drapes.
         part: Of the shapes.
     """
-    split = split_validation(samples, manifest)[part == "validation"]
-    return np.flatnonzero(split & samples.good[fabric])
+    train, validation = split_validation(samples, manifest)
+    good = samples.good[fabric]
+    return np.flatnonzero(validation & good if part == "validation" else train & samples.resting.get(fabric, good))
