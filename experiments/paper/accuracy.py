@@ -31,13 +31,15 @@ from tryon_jax.checks import check_range
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.nets.kriging import Kriging, KrigingConfig
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.training.kriging import KrigingFit
+from tryon_jax.training.node_drapes import read_nodes
 from tryon_jax.training.recipes import model_path
 from tryon_jax.training.stages import CHUNK
 from tryon_jax.tryon import TryOnModel, load_model
 from tryon_jax.tryon.shared_fine import add_shared_fine
-from tryon_jax.types import Body
 
 Table = dict[str, dict[str, Errors]]
 """Errors by row and fabric."""
@@ -101,7 +103,7 @@ def main(config: Config) -> None:
     known = available(config.data, manifest.training_garments())
     trained = {f: {n: load_drapes(model, config.data, n, f) for n in known} for f in fabrics}
     neighbours = {f: NearestGarments(list(trained[f].values()), manifest, betas) for f in fabrics}
-    pipeline = Pipeline(model)
+    pipeline, kriging = Pipeline(model), krige(model, config.data, known, fabrics)
     refiner = Refiner(model.body, config.data, config.refine) if config.refine else None
     tables: dict[str, Table] = {case: {} for case in cases}
     for case, names in cases.items():
@@ -111,7 +113,7 @@ def main(config: Config) -> None:
                 continue
             predicted = pipeline(garments[name], rows, fabrics)
             measured = measure(
-                garments[name], rows, predicted, pipeline, neighbours, model.body, config.inside_shapes, rival
+                garments[name], rows, predicted, pipeline, kriging, neighbours, config.inside_shapes, rival
             )
             if refiner is not None and case.startswith("unseen"):
                 measure_refined(measured, garments[name], rows, predicted, refiner)
@@ -153,13 +155,22 @@ class Rival:
         return {fabric: prediction.fine for fabric, prediction in found.items()}
 
 
+def krige(model: TryOnModel, root: Path, known: Sequence[str], fabrics: Sequence[str]) -> Mapping[str, Kriging]:
+    """The model's kriged drapes; where it has none, those of the garments that it may have been trained on."""
+    if model.kriging or not known:
+        return model.kriging
+    manifest, samples = load_manifest(), list(load_all(model, root, known).values())
+    config = KrigingConfig()
+    return {fabric: KrigingFit(read_nodes(model, samples, manifest, fabric), config).kriging for fabric in fabrics}
+
+
 def measure(
     samples: SimulatedGarment,
     rows: np.ndarray,
     predicted: Mapping[str, Prediction],
     pipeline: Pipeline,
+    kriging: Mapping[str, Kriging],
     neighbours: Mapping[str, NearestGarments],
-    body: Body,
     inside_shapes: int,
     rival: Rival | None = None,
 ) -> Table:
@@ -167,9 +178,9 @@ def measure(
     table: Table = {}
     count, ends = samples.garment.num_vertices, ray_ends(samples.betas[rows])
     looked_at = spread(len(rows), inside_shapes)
-    skins = [Skin.of_shape(body, samples.betas[rows[k]]) for k in looked_at]
+    skins = [Skin.of_shape(pipeline.model.body, samples.betas[rows[k]]) for k in looked_at]
     rivals = {} if rival is None else rival(samples, rows, list(neighbours))
-    for fabric, drapes in _predictions(samples, rows, predicted, pipeline, neighbours).items():
+    for fabric, drapes in _predictions(samples, rows, predicted, pipeline, kriging, neighbours).items():
         if fabric in rivals:
             drapes["paper form"] = rivals[fabric]
         simulated = samples.drapes[fabric][rows, :count]
@@ -190,6 +201,7 @@ def _predictions(
     rows: np.ndarray,
     predicted: Mapping[str, Prediction],
     pipeline: Pipeline,
+    kriging: Mapping[str, Kriging],
     neighbours: Mapping[str, NearestGarments],
 ) -> dict[str, dict[str, Stack]]:
     mean, count = samples.garment.mean_vertices, samples.garment.num_vertices
@@ -208,10 +220,10 @@ def _predictions(
             "mean detail": stages.smooth + detail,
             "pipeline": stages.fine,
         }
-        if fabric in pipeline.model.kriging:
-            drapes["kriging"] = stages.start
-            bare = pipeline.without_design(samples, rows, fabric)
-            drapes |= {} if bare is None else {"bare": bare}
+        if fabric in kriging:
+            drapes["kriging"] = pipeline.kriged(kriging[fabric], samples, rows)
+        bare = pipeline.without_design(samples, rows, fabric)
+        drapes |= {} if bare is None else {"bare": bare}
         if len(origin) and samples.good[fabric][origin].all():
             drapes["carried offset"] = stages.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
         found[fabric] = drapes

@@ -12,6 +12,7 @@ from tqdm import tqdm
 from experiments.shared.record import simulated_fabrics, stages_trained
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.garment.pattern_map import PatternMap, map_patterns
+from tryon_jax.nets.kriging import Kriging
 from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
@@ -54,6 +55,12 @@ class Pipeline:
             fine = self._fine(stage, garment, betas, start)
             found[fabric] = Prediction(smooth[:, :count], fine[:, :count], start[:, :count] + detail)
         return found
+
+    def kriged(self, kriging: Kriging, samples: SimulatedGarment, rows: np.ndarray) -> Stack:
+        """Kriged drapes, which the model need not have."""
+        garment, config = samples.garment, self.model.config
+        detail = np.asarray(fine_base(config, self._base_and_detail(config, garment)[1]))
+        return (self._smooth(kriging, garment, samples.betas[rows]) + detail[None])[:, : garment.num_vertices]
 
     def without_design(self, samples: SimulatedGarment, rows: np.ndarray, fabric: str) -> Stack | None:
         """M_fine as for a mesh without a design; None where the model cannot drape such in this fabric."""

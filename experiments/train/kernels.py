@@ -20,7 +20,7 @@ from tryon_jax.training.recipes import load_samples, model_path, training_names
 from tryon_jax.tryon import load_model
 
 VARIANTS: dict[str, dict[str, Any]] = {
-    "as shipped": {},
+    "default": {},
     "length over designs 0.5": {"design": 0.5},
     "length over designs 0.6": {"design": 0.6},
     "length over designs 0.9": {"design": 0.9},
@@ -97,7 +97,7 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
         lines.append(f"| {count} | " + " | ".join("{:.2f} · {:.2f}".format(*row[f][:2]) for f in fabrics) + " |")
     kept = results["default"]
     note = (
-        f"As shipped: lengths {kept['design']} half ranges of a parameter and {kept['shape']} half axes of the body "
+        f"Default: lengths {kept['design']} half ranges of a parameter and {kept['shape']} half axes of the body "
         f"shapes, nugget {kept['nugget']}, degree {kept['degree']}, {kept['components']} components. New designs are "
         "not fitted and choose the kernel, like the new shapes of fitted designs. Additional designs come on top of "
         "the paper's 19; in a fabric there are fewer of them where one could not be put on."
