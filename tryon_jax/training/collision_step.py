@@ -20,6 +20,7 @@ from tryon_jax.training.recipes import (
     fit_fabrics,
     load_fine_sets,
     model_path,
+    stage_config,
 )
 from tryon_jax.training.stages import BatchSource, StageBatch, StageWeights
 from tryon_jax.tryon import Stage, TryOnModel, load_model
@@ -88,7 +89,7 @@ def _train_collisions(
         "stage": "collisions",
         "fabric": fabric,
         "options": asdict(options),
-        "config": store.config_record(model.config),
+        "config": stage_config(model.config, "collisions"),
         "before": training.get(f"fine-{fabric}", {}),
         **replayed,
     }

@@ -358,7 +358,7 @@ def fit_stage(
     identity = {
         "stage": kind,
         "options": asdict(options),
-        "config": store.config_record(model.config),
+        "config": stage_config(model.config, kind),
         "dataset": checksum,
         "parameters": count_parameters(stage),
     }
@@ -377,6 +377,17 @@ def fit_stage(
         "curve": [[row["step"], round(row["loss"], 4), round(row["validation"], 3)] for row in result.curve],
     }
     return result.params.of(stage), record
+
+
+def stage_config(config: TryOnConfig, kind: str) -> dict[str, Any]:
+    """What a stage's training depends on of the model's configuration: R_smooth is trained before drapes are kriged.
+
+    Args:
+        config: Of the model.
+        kind: "smooth", "fine" or "collisions".
+    """
+    unused = ("kriging", "kriged_fine") if kind == "smooth" or config.kriging is None else ()
+    return {name: value for name, value in store.config_record(config).items() if name not in unused}
 
 
 def all_shapes_at_once(loop: LoopOptions, config: TryOnConfig, shapes: int) -> LoopOptions:
