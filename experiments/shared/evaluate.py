@@ -24,14 +24,10 @@ Stack = Float[np.ndarray, "S V 3"]
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Stages of some shapes of a garment, unpadded, metres."""
+    """M_smooth and M_fine of some shapes of a garment, unpadded, metres."""
 
     smooth: Stack
-    """M_smooth."""
     fine: Stack
-    """M_fine."""
-    start: Stack
-    """What R_fine starts from: the kriged drape where there is one, M_smooth with the detail of M̄ otherwise."""
 
 
 class Pipeline:
@@ -44,16 +40,14 @@ class Pipeline:
 
     def __call__(self, samples: SimulatedGarment, rows: np.ndarray, fabrics: Sequence[str]) -> dict[str, Prediction]:
         """Predictions of the samples with the given rows, by fabric."""
-        garment, betas, config = samples.garment, samples.betas[rows], self.model.config
+        garment, betas = samples.garment, samples.betas[rows]
         smooth = self._smooth(self.model.smooth, garment, betas)
         count = garment.num_vertices
-        detail = np.asarray(fine_base(config, self._base_and_detail(config, garment)[1]))[None, :count]
         found = {}
         for fabric in fabrics:
             first, stage = stages_of(self.model, garment, fabric)
             start = smooth if first is self.model.smooth else self._smooth(first, garment, betas)
-            fine = self._fine(stage, garment, betas, start)
-            found[fabric] = Prediction(smooth[:, :count], fine[:, :count], start[:, :count] + detail)
+            found[fabric] = Prediction(smooth[:, :count], self._fine(stage, garment, betas, start)[:, :count])
         return found
 
     def kriged(self, kriging: Kriging, samples: SimulatedGarment, rows: np.ndarray) -> Stack:

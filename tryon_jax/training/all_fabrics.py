@@ -150,8 +150,7 @@ def _columns(
 def _begin(run: Path, start: Path, fabrics: Sequence[str], functions: int, seed: int) -> None:
     """The run's model: R_mean and R_smooth of another one, and an R_fine of all fabrics that knows nothing yet."""
     old = load_model(start)
-    own = {"fabrics": (), "kriging": None, "shared_fabrics": tuple(fabrics), "fabric_functions": functions}
-    config = replace(old.config, **own)
+    config = replace(old.config, fabrics=(), kriging=None, shared_fabrics=tuple(fabrics), fabric_functions=functions)
     model = replace(init_model(jax.random.key(seed), config, body=old.body), mean=old.mean, smooth=old.smooth)
     training = store.read_record(start).get("training", {})
     kept = {name: training[name] for name in ("mean", "smooth") if name in training}
