@@ -33,56 +33,89 @@ def self_intersections(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray
         raise ValueError(f"faces must index {len(points)} vertices, but they run from {faces.min()} to {faces.max()}")
     faces = np.asarray(faces, np.int64)
     corners = points[faces]
-    pairs = _overlapping_boxes(corners.min(axis=1), corners.max(axis=1))
-    same = faces[pairs[:, 0], :, None] == faces[pairs[:, 1], None, :]
-    shared = same.sum(axis=(1, 2))
-    apart = pairs[shared == 0]
+    # Components first wherever there are many pairs: NumPy is fast along long rows.
+    columns = np.ascontiguousarray(points.T)
+    at = columns.take(faces.T, axis=1)
+    pairs = _overlapping_boxes(at.min(axis=1), at.max(axis=1))
+    left, right = (faces.T.take(side, axis=1) for side in pairs)
+    same = np.array([[one == other for other in right] for one in left])
+    shared = same.reshape(9, -1).view(np.int8).sum(axis=0, dtype=np.int8)
+    apart = pairs[:, shared == 0].T
     apart = apart[~_separated(corners, apart)]
     crossing = apart[_cross(corners[apart[:, 0]], corners[apart[:, 1]])]
 
-    hinged, same = pairs[shared == 1], same[shared == 1]
+    hinged = shared == 1
+    pairs, same = pairs[:, hinged], same[:, :, hinged]
     # With the shared corner first, what can cross away from it is the opposite edge of either triangle.
-    left = _from_corner(corners[hinged[:, 0]], same.any(axis=2))
-    right = _from_corner(corners[hinged[:, 1]], same.any(axis=1))
+    left = _from_corner(faces, pairs[0], np.logical_or.reduce(same, axis=1))
+    right = _from_corner(faces, pairs[1], np.logical_or.reduce(same, axis=0))
+    unclear = ~_on_one_side(columns, left, right)
+    left, right = (points[side.T[unclear]] for side in (left, right))
     folded = _edge_through(left[:, 1], left[:, 2], right) | _edge_through(right[:, 1], right[:, 2], left)
-    found = np.concatenate([crossing, hinged[folded]])
+    found = np.concatenate([crossing, pairs.T[unclear][folded]])
     return found[np.lexsort((found[:, 1], found[:, 0]))]
 
 
-def _overlapping_boxes(low: Float[np.ndarray, "F 3"], high: Float[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
+def _overlapping_boxes(low: Float[np.ndarray, "3 F"], high: Float[np.ndarray, "3 F"]) -> Int[np.ndarray, "2 P"]:
     """Pairs of axis-aligned boxes that overlap, by a grid whose cells are about as large as the boxes."""
-    extent = (high - low).max(axis=1)
+    extent = (high - low).max(axis=0)
     # The median serves meshes of mixed density; the floor keeps one huge box from filling millions of cells.
-    size = max(1.5 * float(np.median(extent)), float(extent.max()) / 32, float(np.ptp(high, axis=0).max()) / 1e6, 1e-12)
-    origin = low.min(axis=0)
-    first, last = np.floor((low - origin) / size).astype(np.int64), np.floor((high - origin) / size).astype(np.int64)
-    spans = last - first + 1
-    counts = spans.prod(axis=1)
-    box = np.repeat(np.arange(len(low)), counts)
-    offset = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    span = spans[box]
-    step = np.stack([offset // (span[:, 1] * span[:, 2]), offset // span[:, 2] % span[:, 1], offset % span[:, 2]], 1)
-    cell = first[box] + step
-    grid = last.max(axis=0) + 1
-    key = (cell[:, 0] * grid[1] + cell[:, 1]) * grid[2] + cell[:, 2]
+    size = max(1.5 * float(np.median(extent)), float(extent.max()) / 32, float(np.ptp(high, axis=1).max()) / 1e6, 1e-12)
+    origin = low.min(axis=1, keepdims=True)
+    first, last = ((side - origin) // size for side in (low, high))
+    first, last = first.astype(np.int64), last.astype(np.int64)
+    grid = last.max(axis=1) + 1
+    box, step = _cells(last - first + 1)
+    key = _number(first, grid).take(box) + _number(step, grid)
     order = np.argsort(key, kind="stable")
     key, box = key[order], box[order]
 
-    found = []
-    start = np.arange(len(key))
-    for shift in range(1, len(key)):
-        start = start[start + shift < len(key)]
-        start = start[key[start] == key[start + shift]]
-        if len(start) == 0:
-            break
-        a, b = box[start], box[start + shift]
-        # Boxes that overlap share many cells: the one with the lowest corner of what they share counts.
-        home = np.maximum(first[a], first[b])
-        here = (home[:, 0] * grid[1] + home[:, 1]) * grid[2] + home[:, 2] == key[start]
-        a, b = a[here], b[here]
-        overlap = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
-        found.append(np.stack([np.minimum(a, b)[overlap], np.maximum(a, b)[overlap]], axis=1))
-    return np.concatenate(found) if found else np.zeros((0, 2), np.int64)
+    # Boxes of one cell are neighbours in this order, however many there are.
+    starts, start = [], np.arange(len(key))
+    while len(start):
+        shift = len(starts) + 1
+        start = start[: np.searchsorted(start, len(key) - shift)]
+        start = start[key.take(start) == key.take(start + shift)]
+        starts.append(start)
+    left = np.concatenate([np.zeros(0, np.int64), *starts])
+    right = left + np.repeat(np.arange(len(starts)) + 1, [len(start) for start in starts])
+    cell, a, b = key.take(left), box.take(left), box.take(right)
+    for low_side, high_side in zip(low, high, strict=True):
+        overlap = (low_side.take(a) <= high_side.take(b)) & (low_side.take(b) <= high_side.take(a))
+        cell, a, b = cell[overlap], a[overlap], b[overlap]
+    # Boxes that overlap share many cells: the one with the lowest corner of what they share counts.
+    home = _number(np.maximum(first.take(a, axis=1), first.take(b, axis=1)), grid) == cell
+    a, b = a[home], b[home]
+    return np.stack([np.minimum(a, b), np.maximum(a, b)])
+
+
+def _cells(spans: Int[np.ndarray, "3 F"]) -> tuple[Int[np.ndarray, " C"], Int[np.ndarray, "3 C"]]:
+    """Every cell of boxes that span so many cells along each axis: its box, and its steps from the box's first cell."""
+    counts = spans.prod(axis=0)
+    box = np.repeat(np.arange(len(counts)), counts)
+    offset = np.arange(len(box)) - np.repeat(np.cumsum(counts) - counts, counts)
+    along_y, along_z = spans[1].take(box), spans[2].take(box)
+    rest = offset // along_z
+    return box, np.stack([rest // along_y, rest % along_y, offset % along_z])
+
+
+def _number(cell: Int[np.ndarray, "3 C"], grid: Int[np.ndarray, " 3"]) -> Int[np.ndarray, " C"]:
+    return (cell[0] * grid[1] + cell[1]) * grid[2] + cell[2]
+
+
+def _on_one_side(
+    points: Float[np.ndarray, "3 V"], left: Int[np.ndarray, "3 P"], right: Int[np.ndarray, "3 P"]
+) -> Bool[np.ndarray, " P"]:
+    """Pairs that share their first corner where one triangle lies wholly on one side of the other's plane."""
+    shared = points.take(left[0], axis=1)
+    left_sides, right_sides = ([points.take(corner, axis=1) - shared for corner in side[1:]] for side in (left, right))
+    clear = np.zeros(left.shape[1], bool)
+    for plane, sides in ((left_sides, right_sides), (right_sides, left_sides)):
+        (ax, ay, az), (bx, by, bz) = plane
+        normal = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        one, other = (normal[0] * x + normal[1] * y + normal[2] * z for x, y, z in sides)
+        clear |= ((one > 0) & (other > 0)) | ((one < 0) & (other < 0))
+    return clear
 
 
 def _volume(
@@ -129,7 +162,9 @@ def _cross(left: Float[np.ndarray, "P 3 3"], right: Float[np.ndarray, "P 3 3"]) 
     return crossing
 
 
-def _from_corner(corners: Float[np.ndarray, "P 3 3"], chosen: Bool[np.ndarray, "P 3"]) -> Float[np.ndarray, "P 3 3"]:
-    """Triangles turned so that the chosen corner comes first."""
-    turn = (np.argmax(chosen, axis=1)[:, None] + np.arange(3)) % 3
-    return np.take_along_axis(corners, turn[:, :, None], axis=1)
+def _from_corner(
+    faces: Int[np.ndarray, "F 3"], index: Int[np.ndarray, " P"], chosen: Bool[np.ndarray, "3 P"]
+) -> Int[np.ndarray, "3 P"]:
+    """Corners of these faces, turned so that the chosen one comes first."""
+    turn = np.argmax(chosen, axis=0)
+    return np.stack([faces.ravel().take(3 * index + (turn + k) % 3) for k in range(3)])

@@ -208,16 +208,15 @@ class _Places:
     """Names for places on a body, by the joint that moves the skin there most."""
 
     def __init__(self, body: Body, vertices: np.ndarray) -> None:
-        self._tree = cKDTree(vertices)
-        self._joint = np.argmax(np.asarray(body.lbs_weights), axis=1)
-        self._names = [_place_word(name) for name in body.joint_names]
+        self._body, self._vertices = body, vertices
 
     def name(self, points: Float[np.ndarray, "N 3"]) -> str:
         """The most frequent places of some vertices, such as "collar, 12 vertices"."""
         if not len(points):
             return ""
-        joints = self._joint[self._tree.query(points)[1]]
-        common = Counter(self._names[joint] for joint in joints).most_common(2)
+        nearest = cKDTree(self._vertices).query(points)[1]
+        joints = np.argmax(np.asarray(self._body.lbs_weights)[nearest], axis=1)
+        common = Counter(_place_word(self._body.joint_names[joint]) for joint in joints).most_common(2)
         count = f"{len(points)} {'vertex' if len(points) == 1 else 'vertices'}"
         return f"{' and '.join(name for name, _ in common)}, {count}"
 
