@@ -26,18 +26,11 @@ from tryon_jax.training.garments import SimulatedGarment, prepare_simulated
 from tryon_jax.training.loop import OutOfTimeError, TimeLimits
 from tryon_jax.training.mean import MeanTraining
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.recipes import (
-    StageOptions,
-    dataset_checksum,
-    fit_fine,
-    fit_mean,
-    fit_smooth,
-    load_fine_sets,
-    load_samples,
-    model_path,
-    training_names,
-)
-from tryon_jax.training.stages import Predictor, validation_error
+from tryon_jax.training.recipes import fit_fine, fit_mean, fit_smooth, load_fine_sets
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_prediction import Predictor, validation_error
+from tryon_jax.training.training_set import dataset_checksum, load_samples, training_names
 from tryon_jax.tryon import Garment, TryOnModel, load_model
 
 LEAST_SECONDS = 5.0

@@ -21,7 +21,7 @@ from tryon_jax.checks import check_range
 from tryon_jax.commands._catalogue import Options
 from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
-from tryon_jax.training.recipes import chain
+from tryon_jax.training.run_folder import chain
 
 SHAPES = 201
 """Body shapes of the dataset, the mean body included."""

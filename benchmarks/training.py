@@ -27,8 +27,9 @@ from benchmarks.record import write_record
 from measuring.records import table
 from tryon_jax.nets import load_config, paper_form
 from tryon_jax.nets.unet import UNet
+from tryon_jax.training.batches import StageBatch
 from tryon_jax.training.parts import value_and_grad_in_parts
-from tryon_jax.training.stages import StageBatch, stage_loss
+from tryon_jax.training.stage_loss import stage_loss
 from tryon_jax.tryon import Stage, stack_garments
 
 

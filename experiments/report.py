@@ -11,7 +11,7 @@ from typing import Any
 from experiments.shared.record import RESULTS, read_result
 from tryon_jax.cli import find_commands
 from tryon_jax.files.atomic import write_text
-from tryon_jax.training.recipes import chain
+from tryon_jax.training.run_folder import chain
 from tryon_jax.tryon.model_file import SHARED, pretrained_path
 
 SECTIONS = {

@@ -23,7 +23,7 @@ from tryon_jax.nets.store import read_record
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import fabric_names, load_fabric
 from tryon_jax.training.collisions import random_betas
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import (
     Garment,
     TryOnModel,

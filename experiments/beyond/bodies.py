@@ -15,7 +15,7 @@ from experiments.shared.record import RESULTS, publish
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 
 
 @dataclass(frozen=True)

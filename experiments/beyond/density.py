@@ -20,7 +20,7 @@ from tryon_jax.garment.pattern_map import map_patterns, pattern_arrays
 from tryon_jax.metrics import hausdorff_distance, vertex_distances
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import TryOnModel, config_space, drape, prepare_mesh
 
 CLAIM = 1.25

@@ -22,8 +22,8 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.render import contact_sheet
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated, prepare_simulated
-from tryon_jax.training.recipes import model_path
-from tryon_jax.training.stages import Predictor
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_prediction import Predictor
 from tryon_jax.tryon import ALL_FABRICS, TryOnModel, fine_of, load_pretrained
 from tryon_jax.tryon.model_file import SHARED, pretrained_path
 

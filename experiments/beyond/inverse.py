@@ -21,7 +21,7 @@ from tryon_jax.garment import GarmentMesh, remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import Garment, TryOnModel, config_space, drape, prepare_mesh
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.tailor import FitTarget, sitting, tailor

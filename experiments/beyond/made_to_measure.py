@@ -14,7 +14,7 @@ from experiments.shared.figures import dressed_cell
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.render import contact_sheet
 from tryon_jax.training.collisions import random_betas
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.tailor import HEM, FitTarget, Tailored, sitting, tailor
 

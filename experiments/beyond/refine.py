@@ -20,7 +20,7 @@ from tryon_jax.metrics import fine_part, vertex_distances
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import config_space
 from tryon_jax.wear.simulate import Simulator
 

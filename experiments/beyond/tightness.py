@@ -19,7 +19,7 @@ from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.stretch import MAX_TENSION
 from tryon_jax.training.dataset import default_root, load_arrays, mesh_path, read_config
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.training.samples import read_samples
 from tryon_jax.wear.fit import measure_fit
 

@@ -21,7 +21,7 @@ from tryon_jax.garment.manifest import Manifest, load_manifest
 from tryon_jax.training.dataset import default_root, load_arrays, open_dataset, read_config
 from tryon_jax.training.drapes import has_drapes, load_drapes, load_mesh
 from tryon_jax.training.packed import MAX_ERROR, Packing, pack_garment, packed_path, write_summary
-from tryon_jax.training.recipes import dataset_checksum
+from tryon_jax.training.training_set import dataset_checksum
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,9 @@ from tryon_jax.nets.store import hash_arrays
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import StageOptions, dataset_checksum, model_path, training_names
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.training_set import dataset_checksum, training_names
 from tryon_jax.tryon import TryOnModel, init_model, load_model, save_model
 
 BASELINES = {

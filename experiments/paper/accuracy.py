@@ -36,8 +36,8 @@ from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.kriging import KrigingFit
 from tryon_jax.training.node_drapes import read_nodes
-from tryon_jax.training.recipes import model_path
-from tryon_jax.training.stages import CHUNK
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_prediction import CHUNK
 from tryon_jax.tryon import TryOnModel, load_model
 from tryon_jax.tryon.shared_fine import add_shared_fine
 

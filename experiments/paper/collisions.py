@@ -18,7 +18,7 @@ from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.recipes import chain, model_path
+from tryon_jax.training.run_folder import chain, model_path
 from tryon_jax.tryon import TryOnModel
 
 PAPER_CHANGE = {"training": -70.0, "held_out": -20.0}

@@ -22,7 +22,8 @@ from tryon_jax.training.dataset import default_root
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.recipes import dataset_checksum, model_path
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.training_set import dataset_checksum
 
 METHODS = ("ours", "fully connected")
 

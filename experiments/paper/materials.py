@@ -25,7 +25,7 @@ from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import fold_statistics, vertex_distances
 from tryon_jax.render import contact_sheet
 from tryon_jax.training.dataset import default_root, read_config
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 
 COLORS = ((0.30, 0.44, 0.62), (0.80, 0.50, 0.58))
 """Blue and pink, as in the paper's figure."""

@@ -13,7 +13,7 @@ import numpy as np
 from experiments.shared.record import RESULTS, publish
 from tryon_jax.nets.config import PAPER, SMALL, TryOnConfig, paper_form
 from tryon_jax.nets.unet import count_parameters, init_unet
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import TryOnModel, drape, load_model, prepare
 
 PAPER_MEGABYTES = {"ours": 71.0, "fully connected": 167.0}

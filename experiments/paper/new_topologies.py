@@ -13,7 +13,7 @@ from tryon_jax.files.atomic import atomic_path
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import hausdorff_distance, vertex_distances
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 
 CLAIM = 1.05
 """Error on unseen topologies over that on trained ones that counts as "on par"."""

@@ -15,7 +15,7 @@ from tryon_jax.garment import remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.metrics import area_strain, self_intersecting_share
 from tryon_jax.render import contact_sheet
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import config_space, drape, prepare_mesh
 
 COLORS = (

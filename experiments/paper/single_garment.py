@@ -32,7 +32,8 @@ from tryon_jax.render import SheetItem, contact_sheet
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.garments import SimulatedGarment, training_shapes
 from tryon_jax.training.loop import LoopOptions, train_loop
-from tryon_jax.training.recipes import dataset_checksum, model_path
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.training_set import dataset_checksum
 from tryon_jax.tryon import TryOnModel
 
 COLORS = {"simulated": (0.50, 0.52, 0.55), "single garment": (0.80, 0.50, 0.46), "ours": (0.30, 0.44, 0.62)}

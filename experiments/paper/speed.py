@@ -25,7 +25,7 @@ from tryon_jax.physics.cloth import build_cloth
 from tryon_jax.physics.dressing import Drape, Equilibrium, Obstacle, dress, follow, sweep
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.physics.state import SolverSettings
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import (
     Garment,
     TryOnModel,

@@ -15,8 +15,10 @@ from tryon_jax.metrics import vertex_distances
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNetConfig, count_parameters
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.recipes import StageOptions, fit_stage
-from tryon_jax.training.stages import Predictor, StageSet, fine_sets, smooth_sets
+from tryon_jax.training.stage_fit import fit_stage
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_prediction import Predictor
+from tryon_jax.training.stage_sets import StageSet, fine_sets, smooth_sets
 from tryon_jax.tryon import TryOnModel, init_model
 
 BLOCK = ((-1.6, -0.1), (0.4, 1.5))

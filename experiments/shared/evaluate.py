@@ -16,7 +16,7 @@ from tryon_jax.nets.kriging import Kriging
 from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stages import Predictor
+from tryon_jax.training.stage_prediction import Predictor
 from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base, fine_of, load_model, stages_of
 
 Stack = Float[np.ndarray, "S V 3"]

@@ -11,7 +11,7 @@ from measuring.records import environment, plain
 from tryon_jax.files.atomic import write_text
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import mean_path, read_config
-from tryon_jax.training.recipes import dataset_checksum
+from tryon_jax.training.training_set import dataset_checksum
 
 RESULTS = Path("docs/results")
 """Folder of the committed records and pictures."""

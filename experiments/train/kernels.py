@@ -16,7 +16,8 @@ from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.kriging import KrigingFit
 from tryon_jax.training.node_drapes import NodeDrapes, read_nodes
-from tryon_jax.training.recipes import load_samples, model_path, training_names
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.training_set import load_samples, training_names
 from tryon_jax.tryon import load_model
 
 VARIANTS: dict[str, dict[str, Any]] = {

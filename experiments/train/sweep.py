@@ -17,15 +17,11 @@ from tryon_jax.nets.config import SMALL
 from tryon_jax.nets.unet import UNetConfig, count_parameters
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import (
-    StageOptions,
-    dataset_checksum,
-    fit_stage,
-    load_samples,
-    model_path,
-    training_names,
-)
-from tryon_jax.training.stages import smooth_sets
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_fit import fit_stage
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_sets import smooth_sets
+from tryon_jax.training.training_set import dataset_checksum, load_samples, training_names
 from tryon_jax.tryon import init_model, load_model
 
 

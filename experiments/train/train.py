@@ -13,7 +13,8 @@ from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import StageOptions, model_path
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
 
 KRIGED_COLLISIONS = CollisionOptions(
     LoopOptions(steps=4000, learning_rate=8e-4, evaluate_every=1000, weight_decay=0.0), pool=256

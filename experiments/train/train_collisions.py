@@ -9,7 +9,7 @@ from tryon_jax.nets.store import read_record
 from tryon_jax.training.collision_step import fit_collisions
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from tryon_jax.training.all_fabrics import check_fabrics, fit_all_fabrics
 from tryon_jax.training.collision_step import fit_collisions
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root, read_config
-from tryon_jax.training.recipes import StageOptions, model_path
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
 from tryon_jax.tryon import ALL_FABRICS
 
 HELD_OUT = ("ivory-rib-knit", "tango-red-jet-set")

@@ -7,7 +7,9 @@ from pathlib import Path
 from experiments.train.curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
-from tryon_jax.training.recipes import StageOptions, fit_fine, model_path
+from tryon_jax.training.recipes import fit_fine
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.kriging_stage import fit_kriging
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import load_model
 
 

@@ -10,7 +10,8 @@ from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.mean import MeanTraining
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.recipes import fit_mean, model_path
+from tryon_jax.training.recipes import fit_mean
+from tryon_jax.training.run_folder import model_path
 
 
 @dataclass(frozen=True)

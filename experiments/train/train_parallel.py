@@ -11,7 +11,7 @@ from experiments.train import train_collisions, train_fine, train_smooth
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
 from tryon_jax.training.parallel import joined_processes
-from tryon_jax.training.recipes import StageOptions
+from tryon_jax.training.stage_options import StageOptions
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,9 @@ from pathlib import Path
 from experiments.train.curves import draw_curve
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import StageOptions, fit_smooth, model_path
+from tryon_jax.training.recipes import fit_smooth
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
 
 
 @dataclass(frozen=True)

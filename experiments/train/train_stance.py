@@ -9,7 +9,7 @@ from tryon_jax.checks import check_range
 from tryon_jax.nets.store import read_record
 from tryon_jax.physics.fabrics import fabric_names
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.recipes import StageOptions
+from tryon_jax.training.stage_options import StageOptions
 from tryon_jax.training.stance_network import StanceOptions, fit_stance
 
 

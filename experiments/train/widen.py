@@ -8,7 +8,7 @@ import jax
 from tryon_jax.nets.store import read_record
 from tryon_jax.nets.unet import count_parameters
 from tryon_jax.nets.widen import widen_unet
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import Stage, load_model, save_model
 
 

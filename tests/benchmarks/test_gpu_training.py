@@ -13,7 +13,7 @@ from tests.training.made_up_data import NAMES, make_full
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.dataset import DatasetConfig, open_dataset
 from tryon_jax.training.loop import TimeLimits
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import load_model
 
 # Graphs of garments as coarse as these differ in their widest row: one of them is a batch.

@@ -22,7 +22,7 @@ from tryon_jax.training.dataset import (
     save_arrays,
 )
 from tryon_jax.training.garments import prepare_simulated
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import TryOnModel, config_space, init_model, save_model
 
 FABRICS = ("gray-interlock", "white-dots-on-blk")

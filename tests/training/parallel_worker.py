@@ -18,9 +18,10 @@ from tryon_jax.body import load_body
 from tryon_jax.garment import load_design_space, placement, remesh
 from tryon_jax.nets.config import load_config
 from tryon_jax.nets.unet import UNet, UNetConfig
+from tryon_jax.training.batches import StageBatch
 from tryon_jax.training.loop import LoopOptions, train_loop
 from tryon_jax.training.parallel import DataParallel, SingleDevice, joined_processes, visible_devices
-from tryon_jax.training.stages import StageBatch, stage_loss
+from tryon_jax.training.stage_loss import stage_loss
 from tryon_jax.tryon import Stage, init_model, prepare_mesh, stack_garments
 
 GARMENTS, SHAPES = 2, 4

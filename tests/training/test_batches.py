@@ -10,7 +10,8 @@ from tryon_jax.body import load_body
 from tryon_jax.garment import load_design_space, placement, remesh
 from tryon_jax.nets.config import load_config
 from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.training.stages import BatchSource, StageSet
+from tryon_jax.training.batches import BatchSource
+from tryon_jax.training.stage_sets import StageSet
 from tryon_jax.tryon import Garment, array_shapes, init_model, prepare_mesh, stack_garments
 
 SHAPES = 5

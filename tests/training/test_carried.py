@@ -11,7 +11,7 @@ from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.training.carried import FIRST_SEED, carry_over, fresh_topologies
 from tryon_jax.training.dataset import mesh_path, save_arrays
 from tryon_jax.training.garments import training_shapes
-from tryon_jax.training.stages import split_validation
+from tryon_jax.training.stage_sets import split_validation
 from tryon_jax.tryon import config_space
 
 MANIFEST = load_manifest()

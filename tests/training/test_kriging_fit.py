@@ -14,8 +14,8 @@ from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.kriging import STEP, WEIGHT_STEP, KrigingFit, kriged_starts, kriging_error
 from tryon_jax.training.node_drapes import NodeReader, read_nodes
-from tryon_jax.training.recipes import load_samples
-from tryon_jax.training.stages import split_validation
+from tryon_jax.training.stage_sets import split_validation
+from tryon_jax.training.training_set import load_samples
 from tryon_jax.tryon import TryOnModel, init_model
 
 CONFIG = KrigingConfig(degree=4, shape_degree=3, components=12)

@@ -13,8 +13,10 @@ from tryon_jax.training.drapes import has_drapes, load_drapes, load_mesh
 from tryon_jax.training.garments import load_simulated
 from tryon_jax.training.mean import load_templates
 from tryon_jax.training.packed import Drapes, pack_garment, packed_path, read_packed_drapes
-from tryon_jax.training.recipes import StageOptions, dataset_checksum, load_fine_sets, training_names
-from tryon_jax.training.stages import Predictor, validation_error
+from tryon_jax.training.recipes import load_fine_sets
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_prediction import Predictor, validation_error
+from tryon_jax.training.training_set import dataset_checksum, training_names
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tryon_jax.training.principal import (
     principal_functions,
     spread_over_shapes,
 )
-from tryon_jax.training.stages import StageSet
+from tryon_jax.training.stage_sets import StageSet
 from tryon_jax.tryon import init_model, prepare
 from tryon_jax.tryon.stages import field_coefficients
 

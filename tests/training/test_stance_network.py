@@ -15,7 +15,7 @@ from tryon_jax.training.dataset import save_arrays
 from tryon_jax.training.descents import DescentTask, load_descents
 from tryon_jax.training.garments import prepare_simulated
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import StageOptions
+from tryon_jax.training.stage_options import StageOptions
 from tryon_jax.training.stance_network import HELD_OUT, StanceOptions, carry_back, fit_stance, stance_set, stance_sets
 from tryon_jax.tryon import save_model
 from tryon_jax.tryon.stance_file import add_stance

@@ -16,8 +16,9 @@ from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.all_fabrics import check_fabrics, fit_all_fabrics, principal_fabrics
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import StageOptions, model_path
-from tryon_jax.training.stages import StageSet
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_sets import StageSet
 from tryon_jax.tryon import ALL_FABRICS, base_and_detail, fine_base, load_model, save_model
 
 THREE = ("gray-interlock", "royal-target", "white-dots-on-blk")

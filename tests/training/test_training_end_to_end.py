@@ -20,17 +20,13 @@ from tryon_jax.training.kriging_stage import fit_kriging
 from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.mean import MeanTraining
 from tryon_jax.training.plan import plan
-from tryon_jax.training.recipes import (
-    StageOptions,
-    fit_fine,
-    fit_mean,
-    fit_smooth,
-    load_fine_sets,
-    load_samples,
-    model_path,
-)
+from tryon_jax.training.recipes import fit_fine, fit_mean, fit_smooth, load_fine_sets
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.training.simulator import Simulator
-from tryon_jax.training.stages import Predictor, smooth_sets, validation_error
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_prediction import Predictor, validation_error
+from tryon_jax.training.stage_sets import smooth_sets
+from tryon_jax.training.training_set import load_samples
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from tests.tryon.test_tryon import TINY
 from tryon_jax.garment import build_template, load_design_space, placement
 from tryon_jax.graph.resample import split_long_edges
 from tryon_jax.nets import apply_mlp, paper_form
-from tryon_jax.training.stages import predict
+from tryon_jax.training.stage_prediction import predict
 from tryon_jax.tryon import (
     Garment,
     TryOnModel,

@@ -24,16 +24,12 @@ from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.dataset import read_config
 from tryon_jax.training.garments import load_simulated, prepare_simulated
 from tryon_jax.training.principal import EVERY, principal_functions
-from tryon_jax.training.recipes import (
-    StageOptions,
-    dataset_checksum,
-    fit_stage,
-    load_samples,
-    model_path,
-    save_stage,
-    training_names,
-)
-from tryon_jax.training.stages import Predictor, StageSet, displacements, fine_sets
+from tryon_jax.training.run_folder import model_path, save_stage
+from tryon_jax.training.stage_fit import fit_stage
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_prediction import Predictor
+from tryon_jax.training.stage_sets import StageSet, displacements, fine_sets
+from tryon_jax.training.training_set import dataset_checksum, load_samples, training_names
 from tryon_jax.tryon import ALL_FABRICS, TryOnModel, init_model, load_model, save_model
 
 

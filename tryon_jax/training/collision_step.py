@@ -11,18 +11,15 @@ import numpy as np
 from tryon_jax.checks import check_range
 from tryon_jax.nets import store
 from tryon_jax.training.all_fabrics import load_all_fabrics
+from tryon_jax.training.batches import BatchSource, StageBatch
 from tryon_jax.training.checkpoint import load_checkpoint
 from tryon_jax.training.collisions import CollisionBatch, CollisionOptions, CollisionTask, draw_collisions, make_pool
 from tryon_jax.training.loop import train_loop
-from tryon_jax.training.recipes import (
-    StageOptions,
-    all_shapes_at_once,
-    fit_fabrics,
-    load_fine_sets,
-    model_path,
-    stage_config,
-)
-from tryon_jax.training.stages import BatchSource, StageBatch, StageWeights
+from tryon_jax.training.recipes import fit_fabrics, load_fine_sets
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.stage_fit import all_shapes_at_once, stage_config
+from tryon_jax.training.stage_loss import StageWeights
+from tryon_jax.training.stage_options import StageOptions
 from tryon_jax.tryon import Stage, TryOnModel, load_model
 
 

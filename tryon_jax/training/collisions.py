@@ -21,16 +21,10 @@ from tryon_jax.body import shape_body, vertex_normals
 from tryon_jax.contact.collision_loss import collision_loss, list_neighbours
 from tryon_jax.garment import Design, remesh
 from tryon_jax.mesh.quality import edge_lengths
+from tryon_jax.training.batches import StageBatch, stacked_numbers
 from tryon_jax.training.garments import training_bucket
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.stages import (
-    Distance,
-    StageBatch,
-    StageWeights,
-    map_garments,
-    stacked_numbers,
-    stage_loss,
-)
+from tryon_jax.training.stage_loss import Distance, StageWeights, map_garments, stage_loss
 from tryon_jax.tryon import (
     Garment,
     Stage,

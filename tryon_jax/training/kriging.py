@@ -19,7 +19,8 @@ from tryon_jax.garment.manifest import Manifest
 from tryon_jax.nets.kriging import Kriging, KrigingConfig, ShapeFunctions, joint_functions
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.node_drapes import NodeDrapes, NodeReader, rows_of
-from tryon_jax.training.stages import Predictor, fine_sets, validation_error
+from tryon_jax.training.stage_prediction import Predictor, validation_error
+from tryon_jax.training.stage_sets import fine_sets
 from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base
 
 FREE = 1e-3

@@ -14,7 +14,8 @@ from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.kriging import KrigingFit, kriging_error
 from tryon_jax.training.node_drapes import read_nodes
-from tryon_jax.training.recipes import dataset_checksum, load_samples, model_path, training_names
+from tryon_jax.training.run_folder import model_path
+from tryon_jax.training.training_set import dataset_checksum, load_samples, training_names
 from tryon_jax.tryon import TryOnModel, init_model, load_model, save_model
 
 

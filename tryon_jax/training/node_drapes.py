@@ -15,7 +15,7 @@ from tryon_jax.garment.template import build_template
 from tryon_jax.mesh.topology import unique_edges
 from tryon_jax.nets.kriging import quadratic_element
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.stages import split_validation
+from tryon_jax.training.stage_sets import split_validation
 from tryon_jax.tryon import Garment, TryOnModel, config_space
 
 ROUGHNESS = 1e-3

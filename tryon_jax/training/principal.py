@@ -19,7 +19,7 @@ from scipy.interpolate import RBFInterpolator
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.training.collisions import random_betas
-from tryon_jax.training.stages import StageSet, displacements
+from tryon_jax.training.stage_sets import StageSet, displacements
 from tryon_jax.training.thin_plate import thin_plate
 from tryon_jax.tryon import Stage
 from tryon_jax.tryon.stages import field_coefficients

@@ -28,8 +28,9 @@ from tryon_jax.training.all_fabrics import principal_fabrics
 from tryon_jax.training.descents import Descent, descent_files, load_descents
 from tryon_jax.training.garments import prepare_simulated
 from tryon_jax.training.plan import split_name
-from tryon_jax.training.recipes import StageOptions, fit_stage
-from tryon_jax.training.stages import StageSet
+from tryon_jax.training.stage_fit import fit_stage
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_sets import StageSet
 from tryon_jax.tryon import Garment, TryOnModel, load_model
 from tryon_jax.tryon.model import StanceNetwork
 from tryon_jax.tryon.stance import init_stance, stance_code

@@ -15,7 +15,7 @@ from tryon_jax.nets.fabric_functions import fit_fabric_functions
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.garments import prepare_simulated
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import ALL_FABRICS, TryOnModel, fine_of, init_model, save_model
 from tryon_jax.tryon.stages import fine_stage, smooth_stage
 

@@ -23,8 +23,8 @@ from tests.experiments.tiny_garments import FABRIC, stretched, tiny_model
 from tryon_jax.garment import load_manifest
 from tryon_jax.nets.config import SMALL
 from tryon_jax.training.loop import LoopOptions
-from tryon_jax.training.recipes import StageOptions
-from tryon_jax.training.stages import StageSet
+from tryon_jax.training.stage_options import StageOptions
+from tryon_jax.training.stage_sets import StageSet
 
 pytestmark = pytest.mark.usefixtures("unchecked")
 

@@ -8,7 +8,7 @@ import pytest
 
 from experiments.train.widen import Config, main
 from tryon_jax.nets.store import read_record
-from tryon_jax.training.recipes import model_path
+from tryon_jax.training.run_folder import model_path
 from tryon_jax.tryon import drape, load_model, prepare
 
 pytestmark = pytest.mark.slow

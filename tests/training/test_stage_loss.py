@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.physics.cloth_scenes import horizontal, make_cloth, make_fabric, place, sheet, wavy
-from tryon_jax.training.stages import displacement_error, relative_energy
+from tryon_jax.training.stage_loss import displacement_error, relative_energy
 
 FACES, UV = sheet(5, 5, 0.1, 0.1)
 CLOTH = make_cloth(FACES, UV, np.float32)
