@@ -222,10 +222,17 @@ def _gather_sum(columns: Any, weights: Any, features: Any) -> Array:
     """Σ_k weights[k] features[columns[k]]: one loop over the result that reads every neighbour."""
     total = jnp.zeros((columns.shape[1], features.shape[1]), features.dtype)
     for column, weight in zip(columns, weights.astype(features.dtype), strict=True):
-        total = total + weight[:, None] * features.at[column].get(mode="promise_in_bounds")
+        total = total + weight[:, None] * _take_rows(features, column)
     return total
 
 
+def _take_rows(features: Any, rows: Any) -> Array:
+    """`features[rows]` without what indexing does before it, which takes ten times as long to trace."""
+    dimensions = jax.lax.GatherDimensionNumbers(offset_dims=(1,), collapsed_slice_dims=(0,), start_index_map=(0,))
+    return jax.lax.gather(features, rows[:, None], dimensions, (1, features.shape[1]), mode="promise_in_bounds")
+
+
+@jax.jit
 def _gather_sum_alone(columns: Any, weights: Any, features: Any) -> Array:
     """`_gather_sum` behind a branch that is always taken.
 
