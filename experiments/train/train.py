@@ -66,7 +66,9 @@ def main(config: Config) -> None:
         steps = step.loop.steps if config.collision_steps is None else config.collision_steps
         if steps:
             every = min(step.loop.evaluate_every, steps)
-            step = replace(step, loop=replace(step.loop, steps=steps, evaluate_every=every))
+            # Each step sees one garment: a short run needs no more of them than it has steps.
+            pool_size = min(step.pool, max(steps, step.held_out))
+            step = replace(step, loop=replace(step.loop, steps=steps, evaluate_every=every), pool=pool_size)
             train_collisions.main(train_collisions.Config(config.run, (), config.data, step), pool)
 
 
