@@ -55,6 +55,9 @@ def fit_kriging(
             "options": asdict(config),
             "dataset": dataset_checksum(root, names),
         }
+        for name in ("fine", "collisions"):
+            # Of weights that are not kept.
+            record.pop(f"{name}-{fabric}", None)
     fresh = init_model(jax.random.key(seed), model.config, body=model.body).fine
     model = replace(model, kriging=found, fine=model.fine | {fabric: fresh[fabric] for fabric in fabrics})
     save_model(model_path(run), model, record)
