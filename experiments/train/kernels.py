@@ -22,19 +22,20 @@ from tryon_jax.tryon import load_model
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},
-    "length over designs 0.5": {"design": 0.5},
-    "length over designs 0.6": {"design": 0.6},
-    "length over designs 0.9": {"design": 0.9},
-    "length over shapes 0.5": {"shape": 0.5},
-    "length over shapes 1.0": {"shape": 1.0},
-    "nugget 0.003": {"nugget": 0.003},
-    "nugget 0.03": {"nugget": 0.03},
-    "degree 6": {"degree": 6},
-    "degree 9": {"degree": 9},
-    "degree 5 in the shape": {"shape_degree": 5},
+    "length over designs 0.7": {"design": 0.7},
+    "length over designs 1.5": {"design": 1.5},
+    "length over shapes 0.7": {"shape": 0.7},
+    "length over shapes 1.5": {"shape": 1.5},
+    "nugget 0.005": {"nugget": 0.005},
+    "nugget 0.05": {"nugget": 0.05},
+    "300 designs": {"designs": 300},
+    "900 designs": {"designs": 900},
+    "32 shapes": {"shapes": 32},
+    "64 shapes": {"shapes": 64},
+    "2,000 functions": {"functions": 2000},
+    "8,000 functions": {"functions": 8000},
     "80 components": {"components": 80},
-    "128 components": {"components": 128},
-    "256 components": {"components": 256},
+    "160 components": {"components": 160},
 }
 """What differs from the default."""
 DESIGNS = (0, 50, 100, 200, 400, 700, 1000)
@@ -99,7 +100,8 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
     kept = results["default"]
     note = (
         f"Default: lengths {kept['design']} half ranges of a parameter and {kept['shape']} half axes of the body "
-        f"shapes, nugget {kept['nugget']}, degree {kept['degree']}, {kept['components']} components. New designs are "
+        f"shapes, nugget {kept['nugget']}, {kept['functions']} products of functions at {kept['designs']} designs and "
+        f"{kept['shapes']} shapes, {kept['components']} components. New designs are "
         "not fitted and choose the kernel, like the new shapes of fitted designs. Additional designs come on top of "
         "the paper's 19; in a fabric there are fewer of them where one could not be put on."
     )

@@ -1,35 +1,35 @@
-"""Kriged drapes: the kernel in its eigenfunctions, the quadratic element, and fields of a design."""
+"""Kriged drapes: the kernel in its functions, the quadratic element, and fields of a design."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.test_util import check_grads
-from scipy.spatial.distance import cdist
 
 from benchmarks._machine import counting_compilations
 from tryon_jax.nets.kriging import (
+    KernelFunctions,
     Kriging,
     KrigingConfig,
-    ShapeFunctions,
     apply_shape_functions,
-    eigenfunctions,
     empty_kriging,
-    exponents,
-    function_pairs,
+    functions_and_trend,
     joint_functions,
     kriged_fields,
+    matern,
     quadratic_element,
+    with_factor,
+    with_factors,
+    without_factors,
 )
 
 # Two triangles, 0-1-2 and 1-2-3, of the unit square.
 EDGES = np.array([[0, 1], [0, 2], [1, 2], [1, 3], [2, 3]], np.int32)
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 NODES = np.concatenate([CORNERS, CORNERS[EDGES].mean(axis=1)])
-CONFIG = KrigingConfig(degree=4, shape_degree=3, components=5, nodes=len(NODES))
+CONFIG = KrigingConfig(designs=7, shapes=4, functions=12, components=5, nodes=len(NODES))
 
 
 def random_kriging(seed: int = 0) -> Kriging:
@@ -40,39 +40,74 @@ def random_kriging(seed: int = 0) -> Kriging:
         return jnp.asarray(rng.normal(size=array.shape), jnp.float32)
 
     arrays = {name: filled(getattr(empty, name)) for name in ("mean", "components", "weights")}
-    shapes = ShapeFunctions(jnp.array([3.0, 2.0]), CONFIG)
-    return replace(empty, edges=jnp.asarray(EDGES), design_scale=jnp.array([0.1, 0.2, 0.3]), shapes=shapes, **arrays)
-
-
-def test_products_of_the_eigenfunctions_add_up_to_the_kernel() -> None:
-    points = np.random.default_rng(1).uniform(-1, 1, (40, 2))
-    errors = []
-    for degree in (4, 8, 16):
-        values = np.asarray(eigenfunctions(jnp.asarray(points), 0.7, 0.6, exponents(2, degree)))
-        exact = np.exp(-0.5 * cdist(points / 0.7, points / 0.7, "sqeuclidean"))
-        errors.append(np.abs(values @ values.T - exact).max())
-    assert errors[-1] < 2e-4
-    assert all(later < 0.5 * earlier for earlier, later in pairwise(errors))
-
-
-def test_joint_functions_are_products_up_to_a_degree_and_a_trend() -> None:
-    rng = np.random.default_rng(2)
-    designs, shapes = jnp.asarray(rng.uniform(-1, 1, (6, 3))), jnp.asarray(rng.uniform(-1, 1, (6, 2)))
-    found = np.asarray(joint_functions(designs, shapes, CONFIG))
-    first, second = function_pairs(CONFIG, 3, 2)
-    assert found.shape == (6, len(first))
-    degrees = exponents(3, CONFIG.degree), exponents(2, CONFIG.shape_degree)
-    one = np.asarray(eigenfunctions(designs, CONFIG.design, CONFIG.spread, degrees[0]))
-    other = np.asarray(eigenfunctions(shapes, CONFIG.shape, CONFIG.spread, degrees[1]))
-    kernel = len(first) - 12
-    assert (degrees[0][first[:kernel]].sum(axis=1) + degrees[1][second[:kernel]].sum(axis=1)).max() == CONFIG.degree
-    # Each is one of the products, and none is there twice.
-    assert len(set(zip(first.tolist(), second.tolist(), strict=True))) == len(first)
-    np.testing.assert_allclose(found[:, :kernel], one[:, first[:kernel]] * other[:, second[:kernel]], rtol=1e-6)
-    linear = [np.concatenate([np.ones((6, 1)), points], axis=1) for points in (designs, shapes)]
-    np.testing.assert_allclose(
-        found[:, kernel:], (linear[0][:, :, None] * linear[1][:, None]).reshape(6, 12), rtol=1e-6
+    first, second = np.indices((4, 3)).reshape(2, -1)
+    made = replace(
+        empty,
+        edges=jnp.asarray(EDGES),
+        design_scale=jnp.array([0.1, 0.2, 0.3]),
+        designs=replace(empty.designs, centres=jnp.asarray(rng.uniform(-1, 1, (7, 3)), jnp.float32)),
+        of_design=jnp.asarray([*rng.integers(7, size=12), *(7 + first)]),
+        of_shape=jnp.asarray([*rng.integers(4, size=12), *(4 + second)]),
+        shapes=replace(
+            empty.shapes,
+            shape_scale=jnp.array([3.0, 2.0]),
+            kernel=replace(empty.shapes.kernel, centres=jnp.asarray(rng.uniform(-1, 1, (4, 2)), jnp.float32)),
+        ),
+        **arrays,
     )
+    return with_factors(made)
+
+
+def test_products_of_the_functions_add_up_to_the_kernel_at_the_centres() -> None:
+    rng = np.random.default_rng(1)
+    centres, others = rng.uniform(-1, 1, (2, 40, 2))
+    functions = with_factor(KernelFunctions(jnp.asarray(centres, jnp.float32), None, 0.8))
+
+    def products(points: np.ndarray) -> np.ndarray:
+        values = np.asarray(functions_and_trend(functions, jnp.asarray(points, jnp.float32)))
+        return values[:, :40] @ values[:, :40].T
+
+    np.testing.assert_allclose(products(centres), matern(centres, centres, 0.8, np), atol=1e-4)
+    # Elsewhere they know no more than the centres tell.
+    left = 1.0 - np.diag(products(others))
+    assert left.min() > -1e-4
+    assert 0.001 < left.mean() < 0.1
+
+
+def test_each_function_is_new_at_its_centre() -> None:
+    centres = np.random.default_rng(2).uniform(-1, 1, (9, 3))
+    functions = with_factor(KernelFunctions(jnp.asarray(centres, jnp.float32), None, 1.0))
+    values = np.asarray(functions_and_trend(functions, jnp.asarray(centres, jnp.float32)))[:, :9]
+    np.testing.assert_allclose(np.triu(values, 1), 0.0, atol=1e-5)
+    np.testing.assert_allclose(np.diag(values), 1.0 / np.diag(np.asarray(functions.factor)), rtol=1e-4)
+
+
+def test_the_kernel_at_known_distances() -> None:
+    # 1 + √3 r over e^(√3 r) at r = 1/2 and 2, worked out by hand.
+    at = np.array([[0.0], [0.5], [2.0]])
+    found = matern(at, at[:1], 1.0, np)[:, 0]
+    np.testing.assert_allclose(found, [1.0, 0.784888, 0.139731], atol=1e-6)
+
+
+def test_joint_functions_are_products() -> None:
+    rng = np.random.default_rng(2)
+    one, other = rng.normal(size=(6, 5)), rng.normal(size=(6, 3))
+    found = joint_functions(jnp.asarray(one), jnp.asarray(other), (np.array([0, 4, 4]), np.array([2, 0, 1])))
+    np.testing.assert_allclose(
+        found, np.stack([one[:, 0] * other[:, 2], one[:, 4] * other[:, 0], one[:, 4] * other[:, 1]], 1), rtol=1e-6
+    )
+
+
+def test_files_do_not_keep_the_factors() -> None:
+    kriging = random_kriging()
+    bare = without_factors(kriging)
+    assert bare.designs.factor is None
+    assert bare.shapes.kernel.factor is None
+    again = with_factors(bare)
+    for one, other in zip(jax.tree.leaves(kriging), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, other)
+    with pytest.raises(AssertionError, match="as a file keeps them"):
+        apply_shape_functions(bare.shapes, jnp.zeros((1, 2)))
 
 
 def test_the_quadratic_element_is_exact_for_quadratic_functions() -> None:
@@ -105,7 +140,9 @@ def test_the_fields_weighted_by_the_shape_functions_are_the_process() -> None:
     fields = kriged_fields(kriging, design, corners, weights)
     found = np.einsum("nck,bk->bnc", fields, apply_shape_functions(kriging.shapes, betas))
     scaled = jnp.broadcast_to((design / kriging.design_scale)[None], (3, 3))
-    values = joint_functions(scaled, betas / jnp.array([[3.0, 2.0]]), CONFIG)
+    of_designs = functions_and_trend(kriging.designs, scaled)
+    of_shapes = functions_and_trend(kriging.shapes.kernel, betas / jnp.array([[3.0, 2.0]]))
+    values = joint_functions(of_designs, of_shapes, (kriging.of_design, kriging.of_shape))
     at_nodes = np.einsum("bf,fr,rqc->bqc", values, kriging.weights, kriging.components) + np.asarray(kriging.mean)
     nodes, shares = quadratic_element(EDGES, 4, corners, weights)
     np.testing.assert_allclose(found, np.einsum("vn,bvnc->bvc", shares, at_nodes[:, nodes]), rtol=1e-4, atol=1e-4)
@@ -136,10 +173,3 @@ def test_nothing_is_compiled_for_another_design() -> None:
     with counting_compilations() as compilations:
         fields(kriging, second, corners, weights)
     assert compilations.count == 0
-
-
-@pytest.mark.parametrize(("dimensions", "degree", "count"), [(1, 4, 5), (2, 6, 28), (3, 8, 165)])
-def test_there_are_as_many_functions_as_monomials(dimensions: int, degree: int, count: int) -> None:
-    found = exponents(dimensions, degree)
-    assert found.shape == (count, dimensions)
-    assert len(set(map(tuple, found.tolist()))) == count

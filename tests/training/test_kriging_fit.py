@@ -18,7 +18,7 @@ from tryon_jax.training.stage_sets import split_validation
 from tryon_jax.training.training_set import load_samples
 from tryon_jax.tryon import TryOnModel, init_model
 
-CONFIG = KrigingConfig(degree=4, shape_degree=3, components=12)
+CONFIG = KrigingConfig(designs=8, shapes=12, functions=60, components=12)
 NAMES = ("tshirt-0", "additional-3-0", "additional-7-0")
 
 
@@ -69,8 +69,13 @@ def test_what_is_kept_is_rounded_and_predicts_the_same(model: TryOnModel, sample
     drapes = read_nodes(model, samples, MANIFEST, FABRIC)
     fit = KrigingFit(drapes, CONFIG)
     components, weights = (np.asarray(a, np.float64) for a in (fit.kriging.components, fit.kriging.weights))
-    for array, step in ((components, STEP), (weights, WEIGHT_STEP)):
-        np.testing.assert_array_equal(array / step, np.rint(array / step))
+    np.testing.assert_array_equal(components / STEP, np.rint(components / STEP))
+    # Each column of weights has a step of its own, a power of two; the trend's are kept as they are.
+    moved = np.linalg.norm(components, axis=2).mean(axis=1)
+    for column, size in zip(weights[: CONFIG.functions].T, moved, strict=True):
+        step = next(s for s in 2.0 ** np.arange(4, -30, -1) if not np.any(column % s))
+        assert step * size > WEIGHT_STEP / 4
+    assert np.any(weights[CONFIG.functions :] % 2.0**-9)
     kept = np.asarray(fit.kriging.mean)[None] + np.einsum("sf,fr,rqc->sqc", fit.functions, weights, components)
     off = np.linalg.norm(kept.reshape(len(kept), -1, 3) - fit.predict(drapes).reshape(len(kept), -1, 3), axis=2)
     assert off.mean() < 1e-4

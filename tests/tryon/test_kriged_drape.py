@@ -11,7 +11,14 @@ from jax.test_util import check_grads
 
 from tests.tryon.test_drape_fields import make_model
 from tests.tryon.test_tryon import TINY
-from tryon_jax.nets.kriging import Kriging, KrigingConfig, joint_functions
+from tryon_jax.nets.kriging import (
+    KernelFunctions,
+    Kriging,
+    KrigingConfig,
+    functions_and_trend,
+    joint_functions,
+    with_factors,
+)
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.physics.fabric_numbers import fabric_numbers
 from tryon_jax.physics.fabrics import load_fabric
@@ -35,7 +42,7 @@ from tryon_jax.tryon.shared_fine import add_shared_fine, save_shared_fine
 KNIT, WOVEN, OTHER = "gray-interlock", "white-dots-on-blk", "royal-target"
 CONFIG = replace(
     TINY,
-    kriging=KrigingConfig(degree=3, shape_degree=2, components=4),
+    kriging=KrigingConfig(designs=6, shapes=5, functions=20, components=4),
     kriged_fine=UNetConfig(widths=(5,), encoder_convs=1, activation="tanh"),
     shared_fabrics=(KNIT, WOVEN, OTHER),
     fabric_functions=2,
@@ -49,13 +56,24 @@ def random_drapes(model: TryOnModel, kriging: Kriging, seed: int) -> Kriging:
     rng = np.random.default_rng(seed)
     arrays = {name: rng.normal(size=getattr(kriging, name).shape) for name in ("mean", "components", "weights")}
     half = 0.5 * np.array([0.5, 0.5, 0.5])
-    return replace(
+    centres = [jnp.asarray(rng.uniform(-1, 1, np.shape(f.centres)), jnp.float32) for f in _kernels(kriging)]
+    designs, shapes = (replace(f, centres=c) for f, c in zip(_kernels(kriging), centres, strict=True))
+    made = replace(
         kriging,
+        designs=designs,
+        shapes=replace(kriging.shapes, kernel=shapes),
+        of_design=jnp.asarray(rng.integers(np.shape(designs.centres)[0] + 4, size=len(kriging.of_design))),
+        of_shape=jnp.asarray(rng.integers(np.shape(shapes.centres)[0] + 3, size=len(kriging.of_shape))),
         edges=jnp.asarray(NodeReader(model).edges),
         design_center=jnp.array([0.2, 1.1, 0.7]),
         design_scale=jnp.asarray(half, jnp.float32),
         **{name: jnp.asarray(0.1 * array, jnp.float32) for name, array in arrays.items()},
     )
+    return with_factors(made)
+
+
+def _kernels(kriging: Kriging) -> tuple[KernelFunctions, KernelFunctions]:
+    return kriging.designs, kriging.shapes.kernel
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +98,9 @@ def test_a_design_starts_from_its_kriged_drape(model: TryOnModel, garment: Garme
     kriging = model.kriging[KNIT]
     scaled = (np.asarray(garment.design) - np.asarray(kriging.design_center)) / np.asarray(kriging.design_scale)
     shapes = BETAS / kriging.shapes.shape_scale[None]
-    values = joint_functions(jnp.asarray(np.tile(scaled, (3, 1)), jnp.float32), shapes, kriging.shapes.config)
+    of_designs = functions_and_trend(kriging.designs, jnp.asarray(np.tile(scaled, (3, 1)), jnp.float32))
+    of_shapes = functions_and_trend(kriging.shapes.kernel, shapes)
+    values = joint_functions(of_designs, of_shapes, (kriging.of_design, kriging.of_shape))
     fields = np.einsum("sf,fr,rqc->sqc", values, kriging.weights, kriging.components) + np.asarray(kriging.mean)
     operator = NodeReader(model).operator(garment)
     np.testing.assert_allclose(garment.unpad(moved), np.stack([operator @ field for field in fields]), atol=1e-4)

@@ -1,45 +1,62 @@
 """Drapes of all designs as a Gaussian process of design and body shape, at the nodes of the template.
 
-The process has one squared-exponential kernel for all coordinates and a trend that is linear in the body's shape and
-in the design (Rasmussen and Williams 2006, section 2.7). In place of a weight for each of some thousand training drapes
-it keeps weights of the trend's functions and of the kernel's own leading eigenfunctions, which are products of Hermite
-functions (section 4.3.1). A prediction is therefore smooth in design and body shape, and where no drape is near, as of
-tight garments on large bodies, the trend alone lets the cloth follow the body. For one design it is a sum of fields
-whose weights depend on the body's shape alone.
+The process has one kernel for all coordinates, a product of a Matérn kernel over designs and one over body shapes, and
+a trend that is linear in both (Rasmussen and Williams 2006, sections 2.7 and 4.2). In place of a weight for each of
+some thousand training drapes it keeps weights of the trend's functions and of products of the kernels' functions at a
+few hundred designs and some body shapes. Where no drape is near, as of tight garments on large bodies, the trend alone
+lets the cloth follow the body. For one design the process is a sum of fields whose weights depend on the body's shape
+alone.
 """
 
-import functools
-import math
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from tryon_jax.types import EXACT, ArrayLike, pytree, static
 
+_JITTER = 1e-6
+_TINY = 1e-12
+
 
 @dataclass(frozen=True)
 class KrigingConfig:
-    """Kernel of the process, a squared exponential over designs and body shapes, and the size of its basis."""
+    """Kernel of the process, a product of a Matérn 3/2 over designs and one over body shapes, and its basis."""
 
-    design: float = 0.7
+    design: float = 1.0
     """Length, in half ranges of the parameters."""
-    shape: float = 0.7
+    shape: float = 1.0
     """Length, in half axes of what the dataset covers."""
-    nugget: float = 0.01
+    nugget: float = 0.02
     """Variance that no neighbour shares, over the variance that all share."""
-    degree: int = 8
-    """Largest degree of an eigenfunction, over designs and body shapes together."""
-    shape_degree: int = 6
-    """Largest degree in the body shape alone."""
-    spread: float = 0.6
-    """Standard deviation of the measure under which they are eigenfunctions, in half ranges."""
-    components: int = 160
+    designs: int = 600
+    """Designs at which the kernel's functions have their centres."""
+    shapes: int = 48
+    """Body shapes at which they have."""
+    functions: int = 4500
+    """Products of a function of the design and one of the body shape that are kept."""
+    components: int = 112
     """Principal components of the drapes."""
     nodes: int = 1574
     """Nodes of the template: its vertices and the middles of its edges."""
+
+
+@pytree
+class KernelFunctions:
+    """Functions of a kernel, in an order: each is what the kernel at its centre has beyond the functions before it.
+
+    Their products at two points add up to the kernel there as far as the centres know it (the Newton basis; Müller and
+    Schaback, *A Newton basis for kernel spaces*, 2009).
+    """
+
+    centres: Float[ArrayLike, "M d"]
+    factor: Float[ArrayLike, "M M"] | None
+    """Inverse of the Cholesky factor of the kernel between the centres; None in files, which do not keep it."""
+    length: float = static(default=1.0)
+    """Of the kernel."""
 
 
 @pytree
@@ -48,7 +65,7 @@ class ShapeFunctions:
 
     shape_scale: Float[ArrayLike, " b"]
     """Half axes of what the dataset covers, standard deviations."""
-    config: KrigingConfig = static(default=KrigingConfig())
+    kernel: KernelFunctions
 
 
 @pytree
@@ -62,10 +79,15 @@ class Kriging:
     components: Float[ArrayLike, "R Q 3"]
     """Principal components of their displacements, each as large as one standard deviation of it, metres."""
     weights: Float[ArrayLike, "F R"]
-    """Of each function, the kernel's first, in each component's coordinate, standard deviations."""
+    """Of each function, those of the trend last, in each component's coordinate, standard deviations."""
     design_center: Float[ArrayLike, " P"]
     design_scale: Float[ArrayLike, " P"]
     """The kernel sees (design − center) / scale: half ranges of the design space."""
+    designs: KernelFunctions
+    of_design: Int[ArrayLike, " F"]
+    """Which function of the design is in each product."""
+    of_shape: Int[ArrayLike, " F"]
+    """Which function of the body shape."""
     shapes: ShapeFunctions
 
     @property
@@ -83,7 +105,11 @@ def empty_kriging(config: KrigingConfig, template_vertices: int, parameters: int
         parameters: Of a design.
         betas: Of a body.
     """
-    functions = len(function_pairs(config, parameters, betas)[0])
+
+    def kernel(count: int, dimensions: int, length: float) -> KernelFunctions:
+        return KernelFunctions(jnp.zeros((count, dimensions)), jnp.zeros((count, count)), length)
+
+    functions = config.functions + (1 + parameters) * (1 + betas)
     return Kriging(
         jnp.zeros((config.nodes - template_vertices, 2), jnp.int32),
         jnp.zeros((config.nodes, 3)),
@@ -91,7 +117,10 @@ def empty_kriging(config: KrigingConfig, template_vertices: int, parameters: int
         jnp.zeros((functions, config.components)),
         jnp.zeros(parameters),
         jnp.ones(parameters),
-        ShapeFunctions(jnp.ones(betas), config),
+        kernel(config.designs, parameters, config.design),
+        jnp.zeros(functions, jnp.int32),
+        jnp.zeros(functions, jnp.int32),
+        ShapeFunctions(jnp.ones(betas), kernel(config.shapes, betas, config.shape)),
     )
 
 
@@ -106,20 +135,18 @@ def kriged_fields(
     Args:
         kriging: From `KrigingFit`.
         design: Parameters, metres.
-        template_vertices: Vertices of the template triangle in which each vertex lies.
+        template_vertices: Corners of the template's triangle in which each vertex lies; any for padding.
         template_weights: Its barycentric weights there; zeros for padding.
 
     Returns:
         Fields, metres; the mean displacement is in that of the constant.
     """
-    config, betas = kriging.shapes.config, jnp.shape(kriging.shapes.shape_scale)[0]
+    kernel_functions, betas = jnp.shape(kriging.shapes.kernel.centres)
     scaled = (design - jnp.asarray(kriging.design_center)) / jnp.asarray(kriging.design_scale)
-    of_design, of_shape = function_pairs(config, len(scaled), betas)
-    values = _with_trend(scaled[None], config.design, config.spread, config.degree)[0]
-    weighted = values[of_design][:, None] * jnp.asarray(kriging.weights)
-    kernel_functions = len(exponents(betas, config.shape_degree))
+    values = functions_and_trend(kriging.designs, scaled[None])[0]
+    weighted = values[jnp.asarray(kriging.of_design)][:, None] * jnp.asarray(kriging.weights)
     count = kernel_functions + 1 + betas
-    coordinates = jnp.zeros((count, weighted.shape[1]), weighted.dtype).at[of_shape].add(weighted)
+    coordinates = jnp.zeros((count, weighted.shape[1]), weighted.dtype).at[jnp.asarray(kriging.of_shape)].add(weighted)
     at_nodes = jnp.einsum("kr,rqc->qck", coordinates, jnp.asarray(kriging.components), precision=EXACT)
     at_nodes = at_nodes.at[..., kernel_functions].add(jnp.asarray(kriging.mean))
     nodes, shares = quadratic_element(kriging.edges, kriging.num_vertices, template_vertices, template_weights)
@@ -133,85 +160,73 @@ def apply_shape_functions(functions: ShapeFunctions, betas: Float[Array, "B b"])
         functions: Of the process.
         betas: Standard deviations.
     """
-    config = functions.config
-    return _with_trend(
-        betas / jnp.asarray(functions.shape_scale)[None], config.shape, config.spread, config.shape_degree
-    )
+    return functions_and_trend(functions.kernel, betas / jnp.asarray(functions.shape_scale)[None])
 
 
 def joint_functions(
-    designs: Float[Array, "S P"], shapes: Float[Array, "S b"], config: KrigingConfig
+    of_designs: Float[Array, "S A"],
+    of_shapes: Float[Array, "S K"],
+    pairs: tuple[Int[ArrayLike, " F"], Int[ArrayLike, " F"]],
 ) -> Float[Array, "S F"]:
     """All functions of the process at pairs of a design and a body shape; `Kriging.weights` are theirs.
 
     Args:
-        designs: In half ranges of the parameters, about their middle.
-        shapes: In half axes of what the dataset covers.
-        config: Of the process.
+        of_designs: Functions of the designs, from `functions_and_trend`.
+        of_shapes: Functions of the body shapes.
+        pairs: Which of either is in each product.
     """
-    of_design, of_shape = function_pairs(config, designs.shape[1], shapes.shape[1])
-    one = _with_trend(designs, config.design, config.spread, config.degree)
-    other = _with_trend(shapes, config.shape, config.spread, config.shape_degree)
-    return one[:, of_design] * other[:, of_shape]
+    first, second = (jnp.asarray(index) for index in pairs)
+    return of_designs[:, first] * of_shapes[:, second]
 
 
-def _with_trend(points: Float[Array, "S d"], length: float, spread: float, degree: int) -> Float[Array, "S F"]:
-    """The kernel's functions, a constant, and the coordinates."""
-    kernel = eigenfunctions(points, length, spread, exponents(points.shape[1], degree))
-    return jnp.concatenate([kernel, jnp.ones_like(points[:, :1]), points], axis=1)
-
-
-def eigenfunctions(
-    points: Float[Array, "S d"], length: float, spread: float, degrees: Int[np.ndarray, "F d"]
-) -> Float[Array, "S F"]:
-    """Leading eigenfunctions of a squared exponential, each times the root of its eigenvalue, at points.
-
-    Their products at two points add up to the kernel there, but for the degrees that are left out.
+def functions_and_trend(functions: KernelFunctions, points: Float[Array, "S d"]) -> Float[Array, "S F"]:
+    """The kernel's functions, a constant, and the coordinates: along these tight garments still follow large bodies.
 
     Args:
-        points: Where to evaluate.
-        length: Of the kernel.
-        spread: Standard deviation of the normal measure under which they are orthogonal.
-        degrees: In each dimension, of each function.
+        functions: Of the kernel, with their factor.
+        points: In units of the kernel's length scale before it.
     """
-    a, b = 1 / (4 * spread**2), 1 / (2 * length**2)
-    c = math.sqrt(a * a + 2 * a * b)
-    ratio = b / (a + b + c)
-    x = math.sqrt(2 * c) * points
-    first = (c / a) ** 0.25 * (2 * a / (a + b + c)) ** 0.25 * jnp.exp(-(c - a) * points * points)
-    # Hermite polynomials over the roots of 2^k k!, by their three-term recurrence.
-    tables = [first, math.sqrt(2 * ratio) * x * first]
-    for k in range(2, int(degrees.max()) + 1):
-        tables.append(math.sqrt(2 * ratio / k) * x * tables[-1] - ratio * math.sqrt((k - 1) / k) * tables[-2])
-    table = jnp.stack(tables)
-    return functools.reduce(jnp.multiply, [table[row, :, i] for i, row in enumerate(degrees.T)]).T
+    assert functions.factor is not None, "these functions are as a file keeps them: `with_factor` completes them"
+    at_centres = matern(points, jnp.asarray(functions.centres), functions.length, jnp)
+    values = jnp.einsum("sm,fm->sf", at_centres, jnp.asarray(functions.factor), precision=EXACT)
+    return jnp.concatenate([values, jnp.ones_like(points[:, :1]), points], axis=1)
 
 
-def exponents(dimensions: int, degree: int) -> Int[np.ndarray, "F d"]:
-    """Degrees in each dimension of all functions whose total degree is at most `degree`."""
-    every = [row for row in product(range(degree + 1), repeat=dimensions) if sum(row) <= degree]
-    return np.array(every, np.int32)
+def matern(points: Any, others: Any, length: float, xp: Any) -> Any:
+    """The Matérn kernel of smoothness 3/2 between points [S, d] and others [M, d], of unit variance.
 
-
-def function_pairs(
-    config: KrigingConfig, parameters: int, betas: int
-) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, " F"]]:
-    """Which function of the design and which of the body shape make up each function of the process.
-
-    First the kernel's, up to a total degree, then those of the trend: products of a constant or a parameter and a
-    constant or a beta.
+    Source: Rasmussen and Williams, *Gaussian Processes for Machine Learning*, 2006, equation 4.17.
 
     Args:
-        config: Of the process.
-        parameters: Of a design.
-        betas: Of a body.
+        points: Coordinates.
+        others: Coordinates.
+        length: In which the kernel falls to a half or so.
+        xp: `numpy` or `jax.numpy`.
     """
-    designs, shapes = exponents(parameters, config.degree), exponents(betas, config.shape_degree)
-    total = designs.sum(axis=1)[:, None] + shapes.sum(axis=1)[None]
-    first, second = np.nonzero(total <= config.degree)
-    trend = np.indices((parameters + 1, betas + 1)).reshape(2, -1)
-    of_design = np.concatenate([first, len(designs) + trend[0]])
-    return of_design.astype(np.int32), np.concatenate([second, len(shapes) + trend[1]]).astype(np.int32)
+    squared = ((points[:, None] - others[None]) ** 2).sum(axis=-1)
+    # Its derivative vanishes where the points meet; that of a distance is not defined there.
+    far = xp.sqrt(3.0 * squared + _TINY) / length
+    return (1.0 + far) * xp.exp(-far)
+
+
+def with_factor(functions: KernelFunctions) -> KernelFunctions:
+    """The functions with their factor (host side)."""
+    centres = np.asarray(functions.centres, np.float64)
+    kernel = matern(centres, centres, functions.length, np) + _JITTER * np.eye(len(centres))
+    factor = scipy.linalg.solve_triangular(np.linalg.cholesky(kernel), np.eye(len(centres)), lower=True)
+    return replace(functions, factor=jnp.asarray(factor, jnp.float32))
+
+
+def with_factors(kriging: Kriging) -> Kriging:
+    """A process from a file, complete."""
+    shapes = replace(kriging.shapes, kernel=with_factor(kriging.shapes.kernel))
+    return replace(kriging, designs=with_factor(kriging.designs), shapes=shapes)
+
+
+def without_factors(kriging: Kriging) -> Kriging:
+    """A process as files keep it: without what follows from the rest."""
+    shapes = replace(kriging.shapes, kernel=replace(kriging.shapes.kernel, factor=None))
+    return replace(kriging, designs=replace(kriging.designs, factor=None), shapes=shapes)
 
 
 def quadratic_element(

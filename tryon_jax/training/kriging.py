@@ -16,8 +16,9 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from tryon_jax.garment.manifest import Manifest
-from tryon_jax.nets.kriging import Kriging, KrigingConfig, ShapeFunctions, joint_functions
+from tryon_jax.nets.kriging import Kriging, KrigingConfig, ShapeFunctions
 from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.training.kernel_choice import choose_functions
 from tryon_jax.training.node_drapes import NodeDrapes, NodeReader, rows_of
 from tryon_jax.training.stage_prediction import Predictor, validation_error
 from tryon_jax.training.stage_sets import fine_sets
@@ -25,12 +26,11 @@ from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base
 
 FREE = 1e-3
 """Ridge of the trend's functions over the nugget: as good as none, but enough where few drapes tell them."""
-STEP = 2.0**-17
+STEP = 2.0**-16
 """Components are rounded to so many metres: files then compress to half their size, and drapes change by 0.05 mm."""
-WEIGHT_STEP = 2.0**-9
-"""The same for weights, in standard deviations of a coordinate: 0.01 mm."""
+WEIGHT_STEP = 4e-5
+"""Weights are rounded to powers of two of a standard deviation that move nodes by no more than so many metres."""
 
-_joint_functions = jax.jit(joint_functions, static_argnums=2)
 _base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 
 
@@ -49,7 +49,8 @@ class KrigingFit:
         centred = drapes.fields - self._mean[None]
         self._basis = principal_components(centred, config.components)
         self.coordinates = (centred @ self._basis).astype(np.float64)
-        self.functions = np.asarray(_joint_functions(drapes.designs, drapes.shapes, config), np.float64)
+        self._chosen = choose_functions(drapes, config)
+        self.functions = self._chosen(drapes)
         normal = self.functions.T @ self.functions
         trend = (1 + drapes.designs.shape[1]) * (1 + drapes.shapes.shape[1])
         self.ridge = np.full(len(normal), config.nugget)
@@ -58,16 +59,29 @@ class KrigingFit:
         self._factor = scipy.linalg.cho_factor(normal, lower=True)
         self._weights = scipy.linalg.cho_solve(self._factor, self.functions.T @ self.coordinates)
         self._left = self.coordinates - self.functions @ self._weights
-        self._config = config
         spread = np.maximum(np.sqrt((self.coordinates**2).mean(axis=0)), 1e-9)
         components = np.rint(self._basis * spread[None] / STEP) * STEP
-        weights = np.rint(self._weights / spread[None] / WEIGHT_STEP) * WEIGHT_STEP
+        steps = 2.0 ** np.floor(np.log2(WEIGHT_STEP * np.sqrt(self._basis.shape[0] / 3) / spread))
+        weights = self._weights / spread[None]
+        weights[:-trend] = np.rint(weights[:-trend] / steps[None]) * steps[None]
         arrays = (self._mean.reshape(-1, 3), components.T.reshape(config.components, -1, 3), weights)
         mean, components, weights, middle, half, extent = (
             jnp.asarray(array, jnp.float32) for array in (*arrays, drapes.middle, drapes.half, drapes.extent)
         )
-        shapes = ShapeFunctions(extent, config)
-        self.kriging = Kriging(jnp.asarray(drapes.edges), mean, components, weights, middle, half, shapes)
+        chosen = self._chosen
+        of_design, of_shape = (jnp.asarray(index) for index in chosen.pairs)
+        self.kriging = Kriging(
+            edges=jnp.asarray(drapes.edges),
+            mean=mean,
+            components=components,
+            weights=weights,
+            design_center=middle,
+            design_scale=half,
+            designs=chosen.designs,
+            of_design=of_design,
+            of_shape=of_shape,
+            shapes=ShapeFunctions(extent, chosen.shapes),
+        )
 
     def predict(self, drapes: NodeDrapes) -> Float[np.ndarray, "S D"]:
         """What the process says of other drapes, metres.
@@ -75,7 +89,7 @@ class KrigingFit:
         Args:
             drapes: Their designs and body shapes.
         """
-        functions = np.asarray(_joint_functions(drapes.designs, drapes.shapes, self._config), np.float64)
+        functions = self._chosen(drapes)
         return self._mean[None] + (functions @ self._weights).astype(np.float32) @ self._basis.T
 
     def without(self, rows: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R Q 3"]:

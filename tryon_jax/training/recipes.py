@@ -198,5 +198,6 @@ def _starts(
     """Kriged drapes of all samples, those that are trained on without their own design."""
     kriging = model.kriging[fabric]
     # The process once more: a model does not keep what it takes to leave a design out.
-    fit = KrigingFit(read_nodes(model, samples, manifest, fabric), kriging.shapes.config)
+    assert model.config.kriging is not None
+    fit = KrigingFit(read_nodes(model, samples, manifest, fabric), model.config.kriging)
     return kriged_starts(model, kriging, fit.without_each_design(), samples, manifest, fabric)

@@ -12,7 +12,7 @@ from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice
 from tryon_jax.nets import store
 from tryon_jax.nets.config import SMALL, TryOnConfig
-from tryon_jax.nets.kriging import KrigingConfig
+from tryon_jax.nets.kriging import KrigingConfig, with_factors, without_factors
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
@@ -59,7 +59,7 @@ def save_model(
         half: Store the networks' weights in half precision.
     """
     record = _record(model.config, model.body) | {"training": dict(training or {})}
-    store.save_store(path, model_parameters(model), record, half=half)
+    store.save_store(path, _stored(model), record, half=half)
 
 
 def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
@@ -80,15 +80,16 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
     faults = store.compare_records(record, _record(config, body))
     if faults:
         raise ValueError(f"{str(path)!r} was made for something else: " + "; ".join(faults))
-    parameters = store.load_tree(path, lambda: model_parameters(init_model(jax.random.key(0), config, body=body)))
+    parameters = store.load_tree(path, lambda: _stored(init_model(jax.random.key(0), config, body=body)))
+    parameters["kriging"] = {fabric: with_factors(kriging) for fabric, kriging in parameters["kriging"].items()}
     return TryOnModel(**parameters, body=body, config=config)
 
 
 def load_pretrained(name: str = "small") -> TryOnModel:
     """The model that comes with the library: trained weights, body and pattern, nothing to download.
 
-    "small", the default, has an R_fine for each of two fabrics and one for all, and R_stance; "paper-form" is the
-    paper's.
+    "small", the default, has kriged drapes of designs and an R_fine for each of two fabrics, an R_fine for all fabrics
+    and meshes, and R_stance; "paper-form" is the paper's.
 
     Raises:
         ValueError: there is no model of that name.
@@ -106,6 +107,11 @@ def load_pretrained(name: str = "small") -> TryOnModel:
 def pretrained_path(name: str) -> Path:
     """Where the package keeps weights of this name."""
     return Path(str(resources.files("tryon_jax") / "data" / "models" / f"{name}.safetensors"))
+
+
+def _stored(model: TryOnModel) -> dict[str, Any]:
+    parameters = model_parameters(model)
+    return parameters | {"kriging": {fabric: without_factors(k) for fabric, k in parameters["kriging"].items()}}
 
 
 def _record(config: TryOnConfig, body: Body) -> dict[str, Any]:

@@ -23,7 +23,7 @@ def model() -> TryOnModel:
     plain = known_model()
     config = replace(
         plain.config,
-        kriging=KrigingConfig(degree=3, shape_degree=2, components=4),
+        kriging=KrigingConfig(designs=6, shapes=5, functions=20, components=4),
         kriged_fine=UNetConfig(widths=(5,)),
         shared_fabrics=FABRICS[:1],
     )
