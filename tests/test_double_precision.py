@@ -23,7 +23,7 @@ from tryon_jax.cli import main
 
 assert jax.config.jax_enable_x64
 model = tj.load_pretrained()
-assert {leaf.dtype.name for leaf in jax.tree.leaves(tj.tryon.model.model_parameters(model))} == {"float32"}
+assert {leaf.dtype.name for leaf in jax.tree.leaves(tj.tryon.model.model_parameters(model))} == {"float32", "int32"}
 garment = tj.prepare(model, "tshirt", target_area=1.2e-3)
 drape = tj.drape(model, garment, np.array([0.5, -0.5], np.float32))
 assert drape.dtype == "float32", drape.dtype

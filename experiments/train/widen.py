@@ -49,7 +49,10 @@ def main(config: Config) -> None:
     before = count_parameters((model.smooth, model.fine))
     smooth = widen(model.smooth, config.smooth)
     fine = {fabric: widen(stage, config.fine) for fabric, stage in model.fine.items()}
-    sizes = replace(model.config, smooth=smooth.net.config, fine=replace(model.config.fine, widths=tuple(config.fine)))
+    # Each R_fine of a model that has kriged drapes is of the one size; without, of the other.
+    size = "kriged_fine" if model.kriging else "fine"
+    wider = replace(getattr(model.config, size), widths=tuple(config.fine))
+    sizes = replace(model.config, smooth=smooth.net.config, **{size: wider})
     model = replace(model, smooth=smooth, fine=fine, config=sizes)
     save_model(target, model, record)
     print(f"{before:,} parameters of R_smooth and R_fine became {count_parameters((smooth, fine)):,}: {target}")

@@ -22,7 +22,7 @@ def config(tmp_path_factory):
         run = tmp_path_factory.mktemp("widen") / "wide"
         widths = load_model(shipped).config
         config = Config(
-            shipped, run, tuple(w + 4 for w in widths.smooth.widths), tuple(w + 2 for w in widths.fine.widths)
+            shipped, run, tuple(w + 4 for w in widths.smooth.widths), tuple(w + 2 for w in widths.kriged_fine.widths)
         )
         main(config)
         yield config
@@ -30,7 +30,7 @@ def config(tmp_path_factory):
 
 def test_drapes_and_the_record_of_training_are_kept(config):
     before, after = load_model(config.model), load_model(model_path(config.run))
-    assert (after.config.smooth.widths, after.config.fine.widths) == (config.smooth, config.fine)
+    assert (after.config.smooth.widths, after.config.kriged_fine.widths) == (config.smooth, config.fine)
     betas, run = np.array([[1.0, -0.5]], np.float32), jax.jit(drape, static_argnames="fabric")
     narrow, wide = prepare(before, "tank"), prepare(after, "tank")
     for fabric in before.config.fabrics:
