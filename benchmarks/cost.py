@@ -197,7 +197,7 @@ def training_rows(training: Mapping[str, Any], cpu_price: float) -> list[dict[st
                     "samples": found.get("samples", ""),
                     "steps": steps,
                     "time": hours(found["seconds"]),
-                    "ms a step": f"{1e3 * found['seconds'] / max(steps, 1):.0f}",
+                    "ms a step": f"{1e3 * found['seconds'] / steps:.0f}" if steps else "",
                     "euros on two cores": f"{found['seconds'] / 3600 * 2 * cpu_price:.2g}",
                 }
             )
