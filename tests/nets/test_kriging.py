@@ -9,6 +9,7 @@ import pytest
 from jax.test_util import check_grads
 
 from benchmarks._machine import counting_compilations
+from tryon_jax.nets.kernel_factor import with_factor, with_factors, without_factors
 from tryon_jax.nets.kriging import (
     KernelFunctions,
     Kriging,
@@ -20,9 +21,6 @@ from tryon_jax.nets.kriging import (
     kriged_fields,
     matern,
     quadratic_element,
-    with_factor,
-    with_factors,
-    without_factors,
 )
 
 # Two triangles, 0-1-2 and 1-2-3, of the unit square.

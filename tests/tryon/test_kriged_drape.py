@@ -11,13 +11,13 @@ from jax.test_util import check_grads
 
 from tests.tryon.test_drape_fields import make_model
 from tests.tryon.test_tryon import TINY
+from tryon_jax.nets.kernel_factor import with_factors
 from tryon_jax.nets.kriging import (
     KernelFunctions,
     Kriging,
     KrigingConfig,
     functions_and_trend,
     joint_functions,
-    with_factors,
 )
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.physics.fabric_numbers import fabric_numbers

@@ -224,7 +224,7 @@ def _gather_sum(columns: Any, weights: Any, features: Any) -> Array:
 
 
 def _take_rows(features: Any, rows: Any) -> Array:
-    """`features[rows]` without what indexing does before it, which takes ten times as long to trace."""
+    """`features[rows]` without what indexing does before it, which is slow to trace."""
     dimensions = jax.lax.GatherDimensionNumbers((rows.ndim,), collapsed_slice_dims=(0,), start_index_map=(0,))
     return jax.lax.gather(features, rows[..., None], dimensions, (1, features.shape[1]), mode="promise_in_bounds")
 

@@ -8,17 +8,15 @@ lets the cloth follow the body. For one design the process is a sum of fields wh
 alone.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, Float, Int
 
 from tryon_jax.types import EXACT, ArrayLike, pytree, static
 
-_JITTER = 1e-6
 _TINY = 1e-12
 
 
@@ -207,26 +205,6 @@ def matern(points: Any, others: Any, length: float, xp: Any) -> Any:
     # Its derivative vanishes where the points meet; that of a distance is not defined there.
     far = xp.sqrt(3.0 * squared + _TINY) / length
     return (1.0 + far) * xp.exp(-far)
-
-
-def with_factor(functions: KernelFunctions) -> KernelFunctions:
-    """The functions with their factor (host side)."""
-    centres = np.asarray(functions.centres, np.float64)
-    kernel = matern(centres, centres, functions.length, np) + _JITTER * np.eye(len(centres))
-    factor = scipy.linalg.solve_triangular(np.linalg.cholesky(kernel), np.eye(len(centres)), lower=True)
-    return replace(functions, factor=jnp.asarray(factor, jnp.float32))
-
-
-def with_factors(kriging: Kriging) -> Kriging:
-    """A process from a file, complete."""
-    shapes = replace(kriging.shapes, kernel=with_factor(kriging.shapes.kernel))
-    return replace(kriging, designs=with_factor(kriging.designs), shapes=shapes)
-
-
-def without_factors(kriging: Kriging) -> Kriging:
-    """A process as files keep it: without what follows from the rest."""
-    shapes = replace(kriging.shapes, kernel=replace(kriging.shapes.kernel, factor=None))
-    return replace(kriging, designs=replace(kriging.designs, factor=None), shapes=shapes)
 
 
 def quadratic_element(

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from scipy.stats import qmc
 
 from tryon_jax.checks import check_range
-from tryon_jax.nets.kriging import KernelFunctions, KrigingConfig, functions_and_trend, joint_functions, with_factor
+from tryon_jax.nets.kernel_factor import with_factor
+from tryon_jax.nets.kriging import KernelFunctions, KrigingConfig, functions_and_trend, joint_functions
 from tryon_jax.training.node_drapes import NodeDrapes
 
 _functions_and_trend, _joint_functions = jax.jit(functions_and_trend), jax.jit(joint_functions)
@@ -46,12 +47,13 @@ def choose_functions(drapes: NodeDrapes, config: KrigingConfig) -> ChosenFunctio
         ValueError: more products are asked for than there are.
     """
     check_range("functions of the process", config.functions, 1, config.designs * config.shapes)
-    kernels = []
-    for points, count, length in (
-        (drapes.designs, config.designs, config.design),
-        (drapes.shapes, config.shapes, config.shape),
-    ):
-        kernels.append(with_factor(KernelFunctions(jnp.asarray(spread_points(points, count)), None, length)))
+    kernels = [
+        with_factor(KernelFunctions(jnp.asarray(spread_points(points, count)), None, length))
+        for points, count, length in (
+            (drapes.designs, config.designs, config.design),
+            (drapes.shapes, config.shapes, config.shape),
+        )
+    ]
     designs, shapes = kernels
     # The variance of a function is what those before it leave at its centre: the square of the factor's diagonal.
     variances = [1.0 / np.diag(np.asarray(kernel.factor, np.float64)) ** 2 for kernel in kernels]
@@ -59,10 +61,11 @@ def choose_functions(drapes: NodeDrapes, config: KrigingConfig) -> ChosenFunctio
     largest = np.sort(np.argsort(-products.ravel(), kind="stable")[: config.functions])
     first, second = np.unravel_index(largest, products.shape)
     trend = np.indices((drapes.designs.shape[1] + 1, drapes.shapes.shape[1] + 1)).reshape(2, -1)
-    of_design = np.concatenate([first, config.designs + trend[0]]).astype(np.int32)
-    return ChosenFunctions(
-        designs, shapes, (of_design, np.concatenate([second, config.shapes + trend[1]]).astype(np.int32))
+    of_design, of_shape = (
+        np.concatenate([index, size + row]).astype(np.int32)
+        for index, size, row in zip((first, second), (config.designs, config.shapes), trend, strict=True)
     )
+    return ChosenFunctions(designs, shapes, (of_design, of_shape))
 
 
 def spread_points(points: Float[np.ndarray, "N d"], count: int) -> Float[np.ndarray, "M d"]:

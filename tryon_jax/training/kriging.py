@@ -30,7 +30,8 @@ FREE = 1e-3
 STEP = 2.0**-16
 """Components are rounded to so many metres: files then compress to half their size, and drapes change by 0.05 mm."""
 WEIGHT_STEP = 4e-5
-"""Weights are rounded to powers of two of a standard deviation that move nodes by no more than so many metres."""
+"""Weights are rounded to multiples of a power of two, one for each component, that moves nodes by so many metres at
+most; drapes change by another 0.1 mm."""
 
 _base_and_detail = jax.jit(base_and_detail, static_argnums=0)
 

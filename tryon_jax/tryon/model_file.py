@@ -12,7 +12,8 @@ from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice
 from tryon_jax.nets import store
 from tryon_jax.nets.config import SMALL, TryOnConfig
-from tryon_jax.nets.kriging import KrigingConfig, with_factors, without_factors
+from tryon_jax.nets.kernel_factor import with_factors, without_factors
+from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
