@@ -12,7 +12,7 @@ from tryon_jax.nets.config import load_config
 from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.training.garments import SimulatedGarment
-from tryon_jax.training.kriging import STEP, WEIGHT_STEP, KrigingFit, kriged_starts, kriging_error
+from tryon_jax.training.kriging import STEP, WEIGHT_STEP, KrigingFit, kriged_starts, kriging_error, principal_components
 from tryon_jax.training.node_drapes import NodeReader, read_nodes
 from tryon_jax.training.stage_sets import split_validation
 from tryon_jax.training.training_set import load_samples
@@ -46,6 +46,16 @@ def test_values_at_nodes_are_found_from_those_at_vertices(model: TryOnModel, sam
     back = np.stack([operator @ field for field in found])
     assert np.abs(back - fields).mean() < 0.03 * np.abs(fields).mean()
     np.testing.assert_allclose(operator.sum(axis=1), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("columns", [30, 300])
+def test_principal_components_are_those_of_the_singular_values(columns: int) -> None:
+    rows = np.random.default_rng(0).normal(size=(40, columns)).astype(np.float32)
+    basis = principal_components(rows, 6)
+    expected = np.linalg.svd(rows, full_matrices=False)[2][:6].T
+    np.testing.assert_allclose(np.abs(np.sum(basis * expected, axis=0)), 1.0, atol=1e-4)
+    # Drapes that are all alike have none.
+    assert not principal_components(np.zeros_like(rows), 6).any()
 
 
 def test_leaving_drapes_out_is_fitting_without_them(model: TryOnModel, samples: list[SimulatedGarment]) -> None:

@@ -122,7 +122,7 @@ class KrigingFit:
 
 
 def principal_components(centred: Float[np.ndarray, "S D"], count: int) -> Float[np.ndarray, "D R"]:
-    """The leading principal components of rows without their mean; zeros where there are fewer rows than components.
+    """The leading principal components of rows without their mean; zeros where there are fewer, or rows do not vary.
 
     Args:
         centred: Rows.
@@ -131,9 +131,11 @@ def principal_components(centred: Float[np.ndarray, "S D"], count: int) -> Float
     gram = (centred.T @ centred).astype(np.float64)
     kept = min(count, len(centred), len(gram))
     basis = np.zeros((len(gram), count), np.float32)
+    if not gram.any():
+        return basis
     if 4 * kept < len(gram):
         # A few of many: Lanczos takes a fifth of the time, and is exact to rounding.
-        vectors = eigsh(gram, k=kept, v0=np.ones(len(gram)))[1]
+        vectors = eigsh(gram, k=kept, v0=np.random.default_rng(0).standard_normal(len(gram)))[1]
     else:
         vectors = scipy.linalg.eigh(gram, subset_by_index=[len(gram) - kept, len(gram) - 1])[1]
     basis[:, :kept] = vectors[:, ::-1]
