@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tryon_jax.mesh.loaded_garment import Piece
 from tryon_jax.mesh.quality import areas
-from tryon_jax.mesh.repair import Piece
 
 SMALL = 0.01
 """Pieces with less than this share of the largest cloth's area are no cloth."""

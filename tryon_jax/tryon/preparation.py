@@ -18,7 +18,9 @@ from tryon_jax.graph.build import build_graph, pad_rows
 from tryon_jax.graph.resample import resample
 from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.closest_points import MeshSearch
-from tryon_jax.mesh.repair import LoadedGarment, load_garment, repair_mesh
+from tryon_jax.mesh.loaded_garment import LoadedGarment
+from tryon_jax.mesh.reading import load_garment
+from tryon_jax.mesh.repair import repair_mesh
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon.garment import CarriedMesh, Garment
 from tryon_jax.tryon.model import TryOnModel, config_space

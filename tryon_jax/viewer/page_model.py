@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from tryon_jax.body.stance import LOWEST
 from tryon_jax.garment import build_template
-from tryon_jax.mesh.repair import LoadedGarment
+from tryon_jax.mesh.loaded_garment import LoadedGarment
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon import TryOnModel
 from tryon_jax.types import Body

@@ -9,7 +9,8 @@ from typing import Any
 import viser
 
 from tryon_jax.checks import check_choice
-from tryon_jax.mesh.repair import FORMATS, LoadedGarment, load_garment, read_triangles
+from tryon_jax.mesh.loaded_garment import LoadedGarment
+from tryon_jax.mesh.reading import FORMATS, load_garment, read_triangles
 from tryon_jax.viewer.page_model import UploadedMesh
 from tryon_jax.wear.own import OwnGarment
 

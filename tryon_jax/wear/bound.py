@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from tryon_jax.body.makehuman import BASE_MESH, base_mesh_points
 from tryon_jax.mesh.mhclo import read_binding
-from tryon_jax.mesh.repair import read_triangles
+from tryon_jax.mesh.reading import read_triangles
 from tryon_jax.types import Body
 
 SUFFIX = ".mhclo"

@@ -9,9 +9,11 @@ from jaxtyping import Float, Int
 
 from tryon_jax.body.landmarks import Landmarks, load_landmarks
 from tryon_jax.body.measurements import measure_vertices
+from tryon_jax.mesh.loaded_garment import LoadedGarment, refuse_holes
 from tryon_jax.mesh.normals import vertex_normals
 from tryon_jax.mesh.pieces import choose_cloth
-from tryon_jax.mesh.repair import LoadedGarment, clean_mesh, read_triangles, refuse_holes
+from tryon_jax.mesh.reading import read_triangles
+from tryon_jax.mesh.repair import clean_mesh
 from tryon_jax.types import Body
 from tryon_jax.wear.arms import LoweredArms
 from tryon_jax.wear.bound import SUFFIX, read_bound
@@ -50,7 +52,7 @@ def take_in(
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: a file that cannot be read or mended (see `mesh.repair.load_garment`), no cloth in it, or no place
+        ValueError: a file that cannot be read or mended (see `mesh.reading.load_garment`), no cloth in it, or no place
             on the body where it would lie as a garment does.
     """
     placing = placing or Placing()

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from tryon_jax.graph.resample import resample
 from tryon_jax.mesh.closest_points import MeshSearch
-from tryon_jax.mesh.repair import LoadedGarment
+from tryon_jax.mesh.loaded_garment import LoadedGarment
 from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.types import Body
 from tryon_jax.wear.fit import pattern_of

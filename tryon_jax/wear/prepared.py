@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from tryon_jax.garment import Design, GarmentMesh, placement
-from tryon_jax.mesh.repair import LoadedGarment
+from tryon_jax.mesh.loaded_garment import LoadedGarment
 from tryon_jax.mesh.stretch_limit import rest_edges, rest_lengths
 from tryon_jax.tryon import Garment, TryOnModel, prepare, prepare_mesh
 from tryon_jax.wear.fit import pattern_of

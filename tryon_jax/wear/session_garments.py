@@ -8,7 +8,7 @@ from tryon_jax.checks import check_file
 from tryon_jax.garment import Design, remesh
 from tryon_jax.garment.near_design import mesh_of_near_design
 from tryon_jax.graph.buckets import bucket_size
-from tryon_jax.mesh.repair import LoadedGarment
+from tryon_jax.mesh.loaded_garment import LoadedGarment
 from tryon_jax.tryon import TryOnModel, config_space, design_of
 from tryon_jax.types import Body
 from tryon_jax.wear.last_used import LastUsed
