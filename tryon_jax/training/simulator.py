@@ -5,24 +5,21 @@ Tasks of one kind are done together: one by one on a CPU, side by side where sev
 
 import functools
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from tryon_jax.body import load_body
 from tryon_jax.garment import dense_template, placement, remesh
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.nets.mlp import MeanDrape
-from tryon_jax.physics.batch import dress_many, relax_many, sweep_many
 from tryon_jax.physics.cloth import Cloth, build_cloth
-from tryon_jax.physics.dressing import Diverged, Drape, Equilibrium, Obstacle, dress, relax, sweep, until_diverged
-from tryon_jax.physics.fabrics import Fabric, load_fabric
-from tryon_jax.physics.state import SolverSettings
+from tryon_jax.physics.dressing import Drape, Obstacle
+from tryon_jax.physics.fabrics import load_fabric
 from tryon_jax.training.dataset import (
     STATISTICS,
     guess_path,
@@ -35,24 +32,15 @@ from tryon_jax.training.dataset import (
     save_arrays,
 )
 from tryon_jax.training.inspect import Inspector
+from tryon_jax.training.physics_of_many import Physics, Subject
 from tryon_jax.training.plan import Task
 from tryon_jax.training.protocol import Protocol, make_protocol
 from tryon_jax.training.reference import Start, reference_mesh, start_from_mesh, start_from_reference, store_guess
+from tryon_jax.training.template_fit import fit_template
 from tryon_jax.tryon import load_pretrained
 
-TEMPLATE_PULL = 0.02
-"""Weight of the pull in `fit_template`, in garment vertices."""
 DIVERGED: dict[str, float] = {key: float("inf") for key in STATISTICS}
 """Statistics of a drape whose simulation diverged: stored and excluded by every rule, never left out."""
-
-
-class Subject(NamedTuple):
-    """A garment in a fabric, ready to be simulated."""
-
-    mesh: dict[str, np.ndarray]
-    """As it is stored: faces, uv, faces_uv, template map, design, start."""
-    cloth: Cloth
-    fabric: Fabric
 
 
 class Simulator:
@@ -65,8 +53,7 @@ class Simulator:
         self.protocol: Protocol = make_protocol(self.config.num_betas)
         self.obstacle = Obstacle(load_body(self.config.body))
         self.inspector = Inspector(self.obstacle)
-        self.settings, self.equilibrium = SolverSettings(), Equilibrium()
-        self.mean_body = np.zeros(self.config.num_betas)
+        self.physics = Physics(self.obstacle, self.config.num_betas)
         self.fabric = functools.lru_cache(load_fabric)
         self.garment = functools.lru_cache(maxsize=8)(self._garment)
 
@@ -115,7 +102,7 @@ class Simulator:
         cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
         arrays = {"faces": mesh.faces, "start": placement(mesh)}
         subjects = [Subject(arrays, cloth, self.fabric(task.fabric)) for task in tasks]
-        drapes = self._dress(subjects, len(tasks) > 1)
+        drapes = self.physics.dress(subjects, len(tasks) > 1)
         return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
 
     # Drapes on the mean body
@@ -123,10 +110,10 @@ class Simulator:
     def _means(self, tasks: Sequence[Task]) -> list[str]:
         subjects = [self.subject(task.garment, task.fabric) for task in tasks]
         if self.config.convention == "dressed":
-            drapes = self._dress(subjects, len(tasks) > 1)
+            drapes = self.physics.dress(subjects, len(tasks) > 1)
             return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
         starts = [self._mean_start(task, subject) for task, subject in zip(tasks, subjects, strict=True)]
-        drapes = self._relax(starts, [self.mean_body] * len(tasks), subjects, len(tasks) > 1)
+        drapes = self.physics.relax(starts, [self.physics.mean_body] * len(tasks), subjects, len(tasks) > 1)
         return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
 
     def _mean_start(self, task: Task, subject: Subject) -> Start | None:
@@ -146,12 +133,15 @@ class Simulator:
         drapes: list[list[Drape | None]] = [[None] * len(betas) for betas in shapes]
         first = [self._is_followed(task.garment) for task in tasks]
         followed = [k for k, own in enumerate(first) if own]
-        for k, found in zip(followed, self._sweep(*_pick(followed, tasks, shapes, subjects)), strict=True):
+        stored = [self._stored(mean_path(self.root, tasks[k].garment, tasks[k].fabric)) for k in followed]
+        for k, found in zip(followed, self.physics.sweep(stored, *_pick(followed, shapes, subjects)), strict=True):
             drapes[k] = found
         carried = [k for k, own in enumerate(first) if not own]
         rows = [(k, i) for k in carried for i in range(len(shapes[k]))]
         starts = [start for k in carried for start in self._ray_starts(tasks[k], subjects[k], len(shapes[k]))]
-        found = self._relax(starts, [shapes[k][i] for k, i in rows], [subjects[k] for k, _ in rows], len(tasks) > 1)
+        found = self.physics.relax(
+            starts, [shapes[k][i] for k, i in rows], [subjects[k] for k, _ in rows], len(tasks) > 1
+        )
         for (k, i), drape in zip(rows, found, strict=True):
             drapes[k][i] = drape
         return [self._save_ray(*each) for each in zip(tasks, subjects, shapes, drapes, strict=True)]
@@ -234,82 +224,8 @@ class Simulator:
         cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
         arrays = {"faces": mesh.faces, "start": placement(mesh)}
         subject = Subject(arrays, cloth, self.fabric(self.config.fabrics[0]))
-        (drape,) = self._dress([subject], together=False)
+        (drape,) = self.physics.dress([subject], together=False)
         return None if drape is None else dense.downsample(drape.vertices), self._statistics(drape, subject)
-
-    # The simulations themselves: one by one, or together, side by side. None: it diverged.
-
-    def _dress(self, subjects: Sequence[Subject], together: bool) -> list[Drape | None]:
-        body, settings, equilibrium = self.obstacle, self.settings, self.equilibrium
-        betas = tuple(self.mean_body)
-
-        def one(s: Subject) -> Drape:
-            return dress(s.mesh["start"], s.cloth, s.fabric, body, settings, equilibrium, betas)
-
-        def many(group: Sequence[Subject]) -> list[Drape]:
-            starts = [s.mesh["start"] for s in group]
-            return dress_many(starts, *_cloths(group), body, settings, equilibrium, betas)
-
-        return _simulate(one, many, subjects, subjects, together)
-
-    def _relax(
-        self,
-        starts: Sequence[Start | None],
-        betas: Sequence[Float[np.ndarray, " b"]],
-        subjects: Sequence[Subject],
-        together: bool,
-    ) -> list[Drape | None]:
-        body, settings, equilibrium = self.obstacle, self.settings, self.equilibrium
-
-        def one(job: tuple[Start, np.ndarray, Subject]) -> Drape:
-            start, shape, s = job
-            return relax(*start, shape, s.cloth, s.fabric, body, settings, equilibrium)
-
-        def many(group: Sequence[tuple[Start, np.ndarray, Subject]]) -> list[Drape]:
-            begin, shapes, chosen = zip(*group, strict=True)
-            vertices, slips = zip(*begin, strict=True)
-            return relax_many(vertices, slips, np.stack(shapes), *_cloths(chosen), body, settings, equilibrium)
-
-        jobs = [(start, b, s) for start, b, s in zip(starts, betas, subjects, strict=True) if start is not None]
-        found = iter(_simulate(one, many, jobs, [s for _, _, s in jobs], together))
-        return [None if start is None else next(found) for start in starts]
-
-    def _sweep(
-        self, tasks: Sequence[Task], shapes: Sequence[Float[np.ndarray, "N b"]], subjects: Sequence[Subject]
-    ) -> list[list[Drape | None]]:
-        """Follow rays from the stored drapes on the mean body; nothing comes after a drape that diverged."""
-        body, settings, equilibrium = self.obstacle, self.settings, self.equilibrium
-        stored = [self._stored(mean_path(self.root, task.garment, task.fabric)) for task in tasks]
-        # A drape at rest stays where it is: no step is taken.
-        at_rest = [
-            None if start is None else relax(*start, self.mean_body, *s[1:], body, settings, equilibrium, max_steps=0)
-            for start, s in zip(stored, subjects, strict=True)
-        ]
-        found: list[list[Drape | None]] = [[None] * len(betas) for betas in shapes]
-        begun = [k for k, drape in enumerate(at_rest) if drape is not None]
-        if len(tasks) == 1:
-            for k in begun:
-                s = subjects[k]
-                steps = sweep(at_rest[k], shapes[k], s.cloth, s.fabric, body, settings, equilibrium)  # pyright: ignore[reportArgumentType]
-                for i, drape in enumerate(until_diverged(steps)):
-                    found[k][i] = drape
-            return found
-        for group in _by_bucket([subjects[k].cloth for k in begun]):
-            lanes = [begun[i] for i in group]
-            # Rays of fewer shapes wait at their last one for the others.
-            longest = max(len(shapes[k]) for k in lanes)
-            padded = [np.pad(shapes[k], ((0, longest - len(shapes[k])), (0, 0)), mode="edge") for k in lanes]
-            first = [drape for k in lanes if (drape := at_rest[k]) is not None]
-            swept = sweep_many(
-                first, np.stack(padded), *_cloths([subjects[k] for k in lanes]), body, settings, equilibrium
-            )
-            diverged: set[int] = set()
-            for i, drapes in enumerate(swept):
-                for k, drape in zip(lanes, drapes, strict=True):
-                    diverged |= set() if np.isfinite(float(drape.report.residual)) else {k}
-                    if k not in diverged and i < len(found[k]):
-                        found[k][i] = drape
-        return found
 
     # Files
 
@@ -336,64 +252,8 @@ class Simulator:
         save_arrays(task.path(self.root), arrays | {"versions": _versions()})
 
 
-def fit_template(
-    corners: Int[np.ndarray, "V 3"], weights: Float[np.ndarray, "V 3"], vertices: Float[np.ndarray, "V 3"]
-) -> Float[np.ndarray, "T 3"]:
-    """The template whose interpolation W T̄ is nearest to a drape, in least squares.
-
-    A weak pull towards local averages settles template vertices that few garment vertices see.
-
-    Args:
-        corners: Template vertices that each garment vertex lies between.
-        weights: Its barycentric weights.
-        vertices: The drape, metres.
-
-    Returns:
-        Template positions, metres.
-    """
-    size = int(corners.max()) + 1
-    rows = np.repeat(np.arange(len(corners)), 3)
-    interpolation = sp.csr_array((weights.ravel(), (rows, corners.ravel())), shape=(len(corners), size))
-    seen = np.maximum(np.asarray(interpolation.sum(axis=0)), 1e-9)
-    local = (interpolation.T @ vertices) / seen[:, None]
-    system = (interpolation.T @ interpolation).toarray() + TEMPLATE_PULL * np.eye(size)
-    return np.linalg.solve(system, interpolation.T @ vertices + TEMPLATE_PULL * local)
-
-
 def _pick(indices: Sequence[int], *lists: Sequence[Any]) -> list[list[Any]]:
     return [[values[k] for k in indices] for values in lists]
-
-
-def _cloths(subjects: Sequence[Subject]) -> tuple[list[Cloth], list[Fabric]]:
-    return [s.cloth for s in subjects], [s.fabric for s in subjects]
-
-
-def _by_bucket(cloths: Sequence[Cloth]) -> list[list[int]]:
-    """Indices of the cloths of each padded size."""
-    sizes = [cloth.vertex_areas.shape[0] for cloth in cloths]
-    return [[k for k, other in enumerate(sizes) if other == size] for size in sorted(set(sizes))]
-
-
-def _simulate(
-    one: Callable[[Any], Drape],
-    many: Callable[[Any], list[Drape]],
-    jobs: Sequence[Any],
-    subjects: Sequence[Subject],
-    together: bool,
-) -> list[Drape | None]:
-    """Jobs one by one, or together in the size buckets of their cloths; None where a simulation diverged."""
-    found: list[Drape | None] = [None] * len(jobs)
-    if not together:
-        for k, job in enumerate(jobs):
-            try:
-                found[k] = one(job)
-            except Diverged:
-                continue
-        return found
-    for group in _by_bucket([s.cloth for s in subjects]):
-        for k, drape in zip(group, many([jobs[i] for i in group]), strict=True):
-            found[k] = drape if np.isfinite(float(drape.report.residual)) else None
-    return found
 
 
 def _slip(drape: Drape | None, count: int) -> Float[np.ndarray, "V 3"]:
