@@ -32,7 +32,6 @@ def self_intersections(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray
     if faces.min() < 0 or faces.max() >= len(points):
         raise ValueError(f"faces must index {len(points)} vertices, but they run from {faces.min()} to {faces.max()}")
     faces = np.asarray(faces, np.int64)
-    corners = points[faces]
     # Components first wherever there are many pairs: NumPy is fast along long rows.
     columns = np.ascontiguousarray(points.T)
     at = columns.take(faces.T, axis=1)
@@ -40,16 +39,17 @@ def self_intersections(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray
     left, right = (faces.T.take(side, axis=1) for side in pairs)
     same = np.array([[one == other for other in right] for one in left])
     shared = same.reshape(9, -1).view(np.int8).sum(axis=0, dtype=np.int8)
-    apart = pairs[:, shared == 0].T
-    apart = apart[~_separated(corners, apart)]
-    crossing = apart[_cross(corners[apart[:, 0]], corners[apart[:, 1]])]
+    disjoint = shared == 0
+    unclear = ~_on_one_side(columns, left[:, disjoint], right[:, disjoint])
+    apart = pairs[:, disjoint].T[unclear]
+    crossing = apart[_cross(points[faces[apart[:, 0]]], points[faces[apart[:, 1]]])]
 
     hinged = shared == 1
     pairs, same = pairs[:, hinged], same[:, :, hinged]
     # With the shared corner first, what can cross away from it is the opposite edge of either triangle.
     left = _from_corner(faces, pairs[0], np.logical_or.reduce(same, axis=1))
     right = _from_corner(faces, pairs[1], np.logical_or.reduce(same, axis=0))
-    unclear = ~_on_one_side(columns, left, right)
+    unclear = ~_on_one_side(columns, left, right, shared=1)
     left, right = (points[side.T[unclear]] for side in (left, right))
     folded = _edge_through(left[:, 1], left[:, 2], right) | _edge_through(right[:, 1], right[:, 2], left)
     found = np.concatenate([crossing, pairs.T[unclear][folded]])
@@ -104,17 +104,18 @@ def _number(cell: Int[np.ndarray, "3 C"], grid: Int[np.ndarray, " 3"]) -> Int[np
 
 
 def _on_one_side(
-    points: Float[np.ndarray, "3 V"], left: Int[np.ndarray, "3 P"], right: Int[np.ndarray, "3 P"]
+    points: Float[np.ndarray, "3 V"], left: Int[np.ndarray, "3 P"], right: Int[np.ndarray, "3 P"], shared: int = 0
 ) -> Bool[np.ndarray, " P"]:
-    """Pairs that share their first corner where one triangle lies wholly on one side of the other's plane."""
-    shared = points.take(left[0], axis=1)
-    left_sides, right_sides = ([points.take(corner, axis=1) - shared for corner in side[1:]] for side in (left, right))
+    """Pairs where one triangle lies wholly on one side of the other's plane, but for their first corner if `shared`."""
+    corners = [[points.take(corner, axis=1) for corner in side] for side in (left, right)]
     clear = np.zeros(left.shape[1], bool)
-    for plane, sides in ((left_sides, right_sides), (right_sides, left_sides)):
-        (ax, ay, az), (bx, by, bz) = plane
+    for (origin, *others), points_beside in (corners, corners[::-1]):
+        (ax, ay, az), (bx, by, bz) = (corner - origin for corner in others)
         normal = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        one, other = (normal[0] * x + normal[1] * y + normal[2] * z for x, y, z in sides)
-        clear |= ((one > 0) & (other > 0)) | ((one < 0) & (other < 0))
+        offsets = (corner - origin for corner in points_beside[shared:])
+        heights = [normal[0] * x + normal[1] * y + normal[2] * z for x, y, z in offsets]
+        clear |= np.logical_and.reduce([height > 0 for height in heights])
+        clear |= np.logical_and.reduce([height < 0 for height in heights])
     return clear
 
 
@@ -123,17 +124,6 @@ def _volume(
 ) -> Float[np.ndarray, " P"]:
     """Six times the signed volume of the tetrahedra a, b, c, d."""
     return np.einsum("nd,nd->n", np.cross(b - a, c - a), d - a)
-
-
-def _separated(corners: Float[np.ndarray, "F 3 3"], pairs: Int[np.ndarray, "P 2"]) -> Bool[np.ndarray, " P"]:
-    """Pairs where one triangle lies wholly on one side of the other's plane: most candidates, cheaply."""
-    apart = np.zeros(len(pairs), bool)
-    for one, other in ((0, 1), (1, 0)):
-        plane, points = corners[pairs[:, one]], corners[pairs[:, other]]
-        normal = np.cross(plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0])
-        side = np.einsum("nd,nkd->nk", normal, points - plane[:, :1])
-        apart |= (side > 0).all(axis=1) | (side < 0).all(axis=1)
-    return apart
 
 
 def _edge_through(
