@@ -34,8 +34,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "64 shapes": {"shapes": 64},
     "2,000 functions": {"functions": 2000},
     "8,000 functions": {"functions": 8000},
-    "80 components": {"components": 80},
-    "160 components": {"components": 160},
+    "112 components": {"components": 112},
+    "320 components": {"components": 320},
 }
 """What differs from the default."""
 DESIGNS = (0, 50, 100, 200, 400, 700, 1000)
