@@ -13,7 +13,7 @@ import pytest
 from tryon_jax.garment.manifest import load_manifest
 from tryon_jax.garment.pattern_map import map_patterns
 from tryon_jax.physics.dressing import Diverged, Drape
-from tryon_jax.training import generate, physics_of_many
+from tryon_jax.training import drape_solver, generate
 from tryon_jax.training import simulator as simulator_module
 from tryon_jax.training.dataset import (
     STATISTICS,
@@ -205,7 +205,7 @@ def test_what_diverges_is_marked_and_not_left_out(root: Path, tmp_path: Path, mo
         yield dataclasses.replace(first, report=dataclasses.replace(first.report, residual=jnp.asarray(0.001)))
         raise Diverged("the drape diverged")
 
-    monkeypatch.setattr(physics_of_many, "sweep", diverges_at_the_second)
+    monkeypatch.setattr(drape_solver, "sweep", diverges_at_the_second)
     assert "diverged" in simulator.run([task])[0]
     ray = load_arrays(task.path(simulator.root))
     assert is_good(ray).tolist() == [True] + 7 * [False]
@@ -218,7 +218,7 @@ def test_what_diverges_is_marked_and_not_left_out(root: Path, tmp_path: Path, mo
     def diverges(*arguments: object, **options: object) -> Drape:
         raise Diverged("the drape diverged")
 
-    monkeypatch.setattr(physics_of_many, "relax", diverges)
+    monkeypatch.setattr(drape_solver, "relax", diverges)
     assert "diverged" in simulator.run([mean])[0]
     assert not is_good(load_arrays(mean.path(simulator.root)))
     assert "diverged" in simulator.run([dataclasses.replace(task, number=4)])[0]

@@ -109,10 +109,10 @@ def _on_one_side(
     """Pairs where one triangle lies wholly on one side of the other's plane, but for their first corner if `shared`."""
     corners = [[points.take(corner, axis=1) for corner in side] for side in (left, right)]
     clear = np.zeros(left.shape[1], bool)
-    for (origin, *others), points_beside in (corners, corners[::-1]):
+    for (origin, *others), opposite in (corners, corners[::-1]):
         (ax, ay, az), (bx, by, bz) = (corner - origin for corner in others)
         normal = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        offsets = (corner - origin for corner in points_beside[shared:])
+        offsets = (corner - origin for corner in opposite[shared:])
         heights = [normal[0] * x + normal[1] * y + normal[2] * z for x, y, z in offsets]
         clear |= np.logical_and.reduce([height > 0 for height in heights])
         clear |= np.logical_and.reduce([height < 0 for height in heights])

@@ -34,8 +34,7 @@ def repair_mesh(
     unit: str = "auto",
     name: str = "mesh",
 ) -> LoadedGarment:
-    """Make a clean mesh of triangles from anywhere; see `mesh.reading.load_garment` for what is
-    done and what is refused.
+    """Make a clean mesh of triangles from anywhere; `mesh.reading.load_garment` says what is done and refused.
 
     Args:
         vertices: In the file's unit.

@@ -31,8 +31,8 @@ from tryon_jax.training.dataset import (
     reference_path,
     save_arrays,
 )
+from tryon_jax.training.drape_solver import DrapeSolver, Subject
 from tryon_jax.training.inspect import Inspector
-from tryon_jax.training.physics_of_many import Physics, Subject
 from tryon_jax.training.plan import Task
 from tryon_jax.training.protocol import Protocol, make_protocol
 from tryon_jax.training.reference import Start, reference_mesh, start_from_mesh, start_from_reference, store_guess
@@ -51,9 +51,9 @@ class Simulator:
         self.config = read_config(root)
         self.manifest = load_manifest()
         self.protocol: Protocol = make_protocol(self.config.num_betas)
-        self.obstacle = Obstacle(load_body(self.config.body))
-        self.inspector = Inspector(self.obstacle)
-        self.physics = Physics(self.obstacle, self.config.num_betas)
+        obstacle = Obstacle(load_body(self.config.body))
+        self.inspector = Inspector(obstacle)
+        self.solver = DrapeSolver(obstacle, self.config.num_betas)
         self.fabric = functools.lru_cache(load_fabric)
         self.garment = functools.lru_cache(maxsize=8)(self._garment)
 
@@ -102,7 +102,7 @@ class Simulator:
         cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
         arrays = {"faces": mesh.faces, "start": placement(mesh)}
         subjects = [Subject(arrays, cloth, self.fabric(task.fabric)) for task in tasks]
-        drapes = self.physics.dress(subjects, len(tasks) > 1)
+        drapes = self.solver.dress(subjects, len(tasks) > 1)
         return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
 
     # Drapes on the mean body
@@ -110,10 +110,10 @@ class Simulator:
     def _means(self, tasks: Sequence[Task]) -> list[str]:
         subjects = [self.subject(task.garment, task.fabric) for task in tasks]
         if self.config.convention == "dressed":
-            drapes = self.physics.dress(subjects, len(tasks) > 1)
+            drapes = self.solver.dress(subjects, len(tasks) > 1)
             return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
         starts = [self._mean_start(task, subject) for task, subject in zip(tasks, subjects, strict=True)]
-        drapes = self.physics.relax(starts, [self.physics.mean_body] * len(tasks), subjects, len(tasks) > 1)
+        drapes = self.solver.relax(starts, [self.solver.mean_body] * len(tasks), subjects, len(tasks) > 1)
         return [self._save_drape(*each) for each in zip(tasks, subjects, drapes, strict=True)]
 
     def _mean_start(self, task: Task, subject: Subject) -> Start | None:
@@ -134,12 +134,12 @@ class Simulator:
         first = [self._is_followed(task.garment) for task in tasks]
         followed = [k for k, own in enumerate(first) if own]
         stored = [self._stored(mean_path(self.root, tasks[k].garment, tasks[k].fabric)) for k in followed]
-        for k, found in zip(followed, self.physics.sweep(stored, *_pick(followed, shapes, subjects)), strict=True):
+        for k, found in zip(followed, self.solver.sweep(stored, *_pick(followed, shapes, subjects)), strict=True):
             drapes[k] = found
         carried = [k for k, own in enumerate(first) if not own]
         rows = [(k, i) for k in carried for i in range(len(shapes[k]))]
         starts = [start for k in carried for start in self._ray_starts(tasks[k], subjects[k], len(shapes[k]))]
-        found = self.physics.relax(
+        found = self.solver.relax(
             starts, [shapes[k][i] for k, i in rows], [subjects[k] for k, _ in rows], len(tasks) > 1
         )
         for (k, i), drape in zip(rows, found, strict=True):
@@ -224,7 +224,7 @@ class Simulator:
         cloth = build_cloth(mesh.faces, mesh.uv, mesh.faces_uv, mesh.num_vertices)
         arrays = {"faces": mesh.faces, "start": placement(mesh)}
         subject = Subject(arrays, cloth, self.fabric(self.config.fabrics[0]))
-        (drape,) = self.physics.dress([subject], together=False)
+        (drape,) = self.solver.dress([subject], together=False)
         return None if drape is None else dense.downsample(drape.vertices), self._statistics(drape, subject)
 
     # Files

@@ -23,8 +23,8 @@ class Subject(NamedTuple):
     fabric: Fabric
 
 
-class Physics:
-    """The solver with a body; its drapes are None where a simulation diverged."""
+class DrapeSolver:
+    """Simulates garments on one body; a drape is None where its simulation diverged."""
 
     def __init__(self, obstacle: Obstacle, num_betas: int) -> None:
         self.obstacle, self.mean_body = obstacle, np.zeros(num_betas)
