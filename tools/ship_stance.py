@@ -1,4 +1,4 @@
-"""Put a run's R_stance into the package, in half precision where that changes no drape by 0.1 mm.
+"""Put a run's R_stance into the package, in half precision where that changes no drape by 0.2 mm.
 
 Weights that tear a garment on the way of the arms are refused, as `tools.ship_weights` refuses those of T-pose drapes.
 

@@ -17,7 +17,18 @@ from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
 from tryon_jax.training.stage_prediction import Predictor
-from tryon_jax.tryon import TryOnModel, base_and_detail, fine_base, fine_of, load_model, stages_of
+from tryon_jax.tryon import (
+    Garment,
+    Stage,
+    TryOnModel,
+    base_and_detail,
+    correct,
+    fine_base,
+    fine_of,
+    load_model,
+    measure_corrections,
+    stages_of,
+)
 
 Stack = Float[np.ndarray, "S V 3"]
 
@@ -37,6 +48,7 @@ class Pipeline:
         self.model = model
         self._smooth, self._fine = Predictor(model.config, "smooth"), Predictor(model.config, "fine")
         self._base_and_detail = jax.jit(base_and_detail, static_argnums=0)
+        self._measure, self._correct = jax.jit(measure_corrections), jax.jit(correct)
 
     def __call__(self, samples: SimulatedGarment, rows: np.ndarray, fabrics: Sequence[str]) -> dict[str, Prediction]:
         """Predictions of the samples with the given rows, by fabric."""
@@ -47,7 +59,7 @@ class Pipeline:
         for fabric in fabrics:
             first, stage = stages_of(self.model, garment, fabric)
             start = smooth if first is self.model.smooth else self._smooth(first, garment, betas)
-            found[fabric] = Prediction(smooth[:, :count], self._fine(stage, garment, betas, start)[:, :count])
+            found[fabric] = Prediction(smooth[:, :count], self._drape(first, stage, garment, betas, start)[:, :count])
         return found
 
     def kriged(self, kriging: Kriging, samples: SimulatedGarment, rows: np.ndarray) -> Stack:
@@ -62,8 +74,20 @@ class Pipeline:
             return None
         garment = replace(samples.garment, design=None, template_vertices=None, template_weights=None)
         betas = samples.betas[rows]
-        start = self._smooth(self.model.smooth, garment, betas)
-        return self._fine(fine_of(self.model, fabric), garment, betas, start)[:, : garment.num_vertices]
+        first, stage = self.model.smooth, fine_of(self.model, fabric)
+        start = self._smooth(first, garment, betas)
+        return self._drape(first, stage, garment, betas, start)[:, : garment.num_vertices]
+
+    def _drape(
+        self, first: Stage | Kriging, stage: Stage, garment: Garment, betas: Float[np.ndarray, "S b"], start: np.ndarray
+    ) -> Float[np.ndarray, "S N 3"]:
+        """M_fine from what it starts from, corrected as `drape` corrects it."""
+        fine, skin = self._fine(stage, garment, betas, start), self.model.skin
+        if skin is None:
+            return fine
+        shapes = np.asarray(skin.polynomials.betas)
+        on_skins = self._fine(stage, garment, shapes, self._smooth(first, garment, shapes))
+        return np.asarray(self._correct(self._measure(skin, garment, on_skins, on_skins), fine, betas))
 
 
 def open_model(path: Path, untrained: bool, fabrics: tuple[str, ...]) -> TryOnModel:

@@ -1,4 +1,5 @@
-"""Train everything, from a data set to a model: R_mean, R_smooth, kriging, R_fine of each fabric, collision step."""
+"""Train everything, from a data set to a model: R_mean, R_smooth, kriging, R_fine of each fabric; or the paper's form,
+with its collision step."""
 
 import os
 from contextlib import nullcontext
@@ -12,14 +13,8 @@ from tryon_jax.nets.config import Size
 from tryon_jax.nets.store import read_record
 from tryon_jax.training.collisions import CollisionOptions
 from tryon_jax.training.dataset import default_root
-from tryon_jax.training.loop import LoopOptions
 from tryon_jax.training.run_folder import model_path
 from tryon_jax.training.stage_options import StageOptions
-
-KRIGED_COLLISIONS = CollisionOptions(
-    LoopOptions(steps=4000, learning_rate=8e-4, evaluate_every=1000, weight_decay=0.0), pool=256
-)
-"""From kriged drapes R_fine predicts smaller displacements: it has farther to go, in its own units."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +36,8 @@ class Config:
     fine_steps: int | None = None
     """Steps of R_fine's, for each fabric; by default 6000 from kriged drapes and 12000 from M_smooth."""
     collision_steps: int | None = None
-    """Steps of the collision step, for each fabric, 0 leaves it out; by default 4000 from kriged drapes, which leave
-    more of them, and 2000 from M_smooth."""
+    """Steps of the collision step, for each fabric, 0 leaves it out; by default 2000 from M_smooth, and none from
+    kriged drapes, which it would blur: `drape` corrects what they leave."""
     shapes: int = 16
     """Body shapes of each garment in a batch."""
     evaluate_every: int = 1000
@@ -62,8 +57,9 @@ def main(config: Config) -> None:
     fine_steps = (6000 if kriged else 12000) if config.fine_steps is None else config.fine_steps
     with open_pool(config.processes) if config.processes > 1 else nullcontext() as pool:
         train_fine.main(train_fine.Config(config.data, config.run, (), _options(config, fine_steps)), pool)
-        step = KRIGED_COLLISIONS if kriged else CollisionOptions()
-        steps = step.loop.steps if config.collision_steps is None else config.collision_steps
+        step = CollisionOptions()
+        default = 0 if kriged else step.loop.steps
+        steps = default if config.collision_steps is None else config.collision_steps
         if steps:
             every = min(step.loop.evaluate_every, steps)
             # Each step sees one garment: a short run needs no more of them than it has steps.

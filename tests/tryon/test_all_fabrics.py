@@ -65,6 +65,8 @@ def test_fields_of_any_fabric_are_its_drape(model: TryOnModel, garment: Garment)
 def test_the_drape_is_differentiable_in_the_fabric(model: TryOnModel, garment: Garment) -> None:
     fabric = load_fabric("gray-interlock")
     weight = jax.random.normal(jax.random.key(3), (garment.graph.num_nodes, 3))
+    # Untrained networks put cloth deep into the body, where the closest skin jumps.
+    model = replace(model, skin=None)
 
     @jax.jit
     def value(scale: jax.Array) -> jax.Array:

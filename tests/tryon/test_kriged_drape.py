@@ -88,6 +88,7 @@ def garment(model: TryOnModel) -> Garment:
 
 
 def test_a_design_starts_from_its_kriged_drape(model: TryOnModel, garment: Garment) -> None:
+    model = replace(model, skin=None)
     assert stages_of(model, garment, KNIT) == (model.kriging[KNIT], model.fine[KNIT])
     assert stages_of(model, garment, None)[0] is model.kriging[KNIT]
     still = replace(model.kriging[KNIT], mean=jnp.zeros_like(model.kriging[KNIT].mean))
@@ -143,6 +144,7 @@ def test_a_finer_mesh_moves_with_the_one_that_is_draped(model: TryOnModel, garme
 
 def test_it_is_differentiable_in_betas_and_design(model: TryOnModel, garment: Garment) -> None:
     weight = jax.random.normal(jax.random.key(3), (garment.graph.num_nodes, 3))
+    model = replace(model, skin=None)
 
     @jax.jit
     def value(betas: jax.Array, design: jax.Array) -> jax.Array:

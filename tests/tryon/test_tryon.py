@@ -124,6 +124,7 @@ def test_untrained_heads_leave_the_mean_drape_where_it_is(model, garment):
             model,
             smooth=dataclasses.replace(model.smooth, scale=still),
             fine={k: dataclasses.replace(v, scale=still) for k, v in model.fine.items()},
+            skin=None,
             config=dataclasses.replace(TINY, reference=reference),
         )
         stages = draped_stages(changed, garment, jnp.ones(2))

@@ -16,7 +16,7 @@ Conditioning = Literal["fields", "node"]
 STANCE_EXTENT = 2.0
 """What the lowest stance of the arms counts as, beside betas of about this size."""
 
-KRIGED_NET = UNetConfig(widths=(64, 96, 128, 160))
+KRIGED_NET = UNetConfig(widths=(48, 64, 96, 128))
 """An R_fine that starts from kriged drapes, which leave less to learn."""
 
 

@@ -36,7 +36,7 @@ class KrigingConfig:
     """Body shapes at which they have."""
     functions: int = 4500
     """Products of a function of the design and one of the body shape that are kept."""
-    components: int = 208
+    components: int = 192
     """Principal components of the drapes."""
     nodes: int = 1574
     """Nodes of the template: its vertices and the middles of its edges."""

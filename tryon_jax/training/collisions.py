@@ -39,8 +39,6 @@ from tryon_jax.tryon import (
 )
 from tryon_jax.types import ArrayLike, pytree
 
-COLLISION_WEIGHT = 100.0
-"""Balances a mean over all vertices, of which a percent or two collide, with the anchor."""
 WALK_STEPS = 4
 """Moves over the body in search of the closest vertex, from the closest one on the mean body."""
 
@@ -60,6 +58,9 @@ class CollisionOptions:
     """Garments in a batch."""
     shapes: int = 16
     """Random body shapes of each."""
+    weight: float = 100.0
+    """Of the collision loss in units of the margin, against the other terms: it is a mean over all vertices, of which a
+    percent or two collide."""
     margin: float = 2e-3
     """Clearance asked for, metres."""
     anchor: float = 0.3
@@ -236,7 +237,7 @@ class CollisionTask:
             )
             return loss
 
-        collisions = jax.vmap(one)(fine, betas).mean() / options.margin * COLLISION_WEIGHT
+        collisions = jax.vmap(one)(fine, betas).mean() / options.margin * options.weight
         torn = excess_stretch(fine, garment.graph.faces, pooled.rest, options.most_stretch)
         return collisions + options.stretch * torn + anchor
 

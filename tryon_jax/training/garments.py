@@ -1,7 +1,7 @@
 """Training samples in memory: prepared garments with their simulated drapes, split enforced when they are read."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.graph.build import build_graph
 from tryon_jax.graph.smoothing import HeatSmoother, make_smoother, smooth
+from tryon_jax.mesh.quality import edge_lengths
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.physics.cloth import Cloth, build_cloth
 from tryon_jax.training.drapes import load_drapes, load_mesh
-from tryon_jax.tryon import Garment, TryOnModel
+from tryon_jax.tryon import Garment, TryOnModel, padded_edges
 
 TRAINING_BUCKETS = (2048, 2816, 3584)
 """Sizes that training garments are padded to; fewer than `prepare` has, since each costs a compilation."""
@@ -91,7 +92,13 @@ def prepare_simulated(model: TryOnModel, root: Path, name: str) -> Garment:
     template_vertices, template_weights = np.zeros((size, 3), np.int32), np.zeros((size, 3), np.float32)
     template_vertices[:count], template_weights[:count] = mesh["template_vertices"], mesh["template_weights"]
     smoother = make_smoother(vertices, mesh["faces"], config.smoothing_length, size)
-    return Garment(graph, smoother, mesh["design"].astype(np.float32), template_vertices, template_weights)
+    design = mesh["design"].astype(np.float32)
+    garment = Garment(graph, smoother, design, template_vertices, template_weights)
+    if "uv" not in mesh or "faces_uv" not in mesh:
+        # Packed data sets keep no pattern: training does not need it.
+        return garment
+    edges, rest = padded_edges(mesh["faces"], edge_lengths(mesh["uv"], mesh["faces_uv"]), count, size)
+    return replace(garment, edges=edges, rest=rest)
 
 
 def load_simulated(

@@ -1,6 +1,8 @@
 """The whole method: `prepare` a garment on the host, `drape` it on the device (section 4 of the paper)."""
 
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, body_contact, report_penetration
+from tryon_jax.tryon.carrying import move_with_graph
+from tryon_jax.tryon.corrections import Corrections, correct, measure_corrections
 from tryon_jax.tryon.draping import (
     DrapeFields,
     DrapeStages,
@@ -12,7 +14,6 @@ from tryon_jax.tryon.draping import (
     field_stages,
     fine_of,
     mean_drape,
-    move_with_graph,
     stages_of,
     with_design,
 )
@@ -29,13 +30,14 @@ from tryon_jax.tryon.model import (
     with_parameters,
 )
 from tryon_jax.tryon.model_file import load_model, load_pretrained, save_model
-from tryon_jax.tryon.preparation import design_of, prepare, prepare_mesh
+from tryon_jax.tryon.preparation import design_of, padded_edges, prepare, prepare_mesh
 from tryon_jax.tryon.stages import apply_stage, base_and_detail, fine_base, fine_stage, smooth_stage
 
 __all__ = [
     "ALL_FABRICS",
     "BodyContact",
     "CarriedMesh",
+    "Corrections",
     "DrapeFields",
     "DrapeStages",
     "Garment",
@@ -49,6 +51,7 @@ __all__ = [
     "base_and_detail",
     "body_contact",
     "config_space",
+    "correct",
     "design_of",
     "drape",
     "drape_fields",
@@ -62,9 +65,11 @@ __all__ = [
     "load_model",
     "load_pretrained",
     "mean_drape",
+    "measure_corrections",
     "model_parameters",
     "move_with_graph",
     "of_fabric",
+    "padded_edges",
     "prepare",
     "prepare_mesh",
     "report_penetration",

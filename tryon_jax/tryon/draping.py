@@ -10,6 +10,8 @@ from tryon_jax.checks import check_choice
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.nets.kriging import Kriging, ShapeFunctions
 from tryon_jax.nets.mlp import MLP, apply_mean_drape
+from tryon_jax.tryon.carrying import carry_values, move_with_graph
+from tryon_jax.tryon.corrections import Corrections, correct, measure_corrections
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import ALL_FABRICS, Stage, TryOnModel, of_fabric
 from tryon_jax.tryon.stages import (
@@ -50,6 +52,8 @@ class DrapeFields:
     """M_smooth, or the kriged drape less the detail of M̄."""
     fine: StageFields
     """What M_fine has beyond it."""
+    corrections: Corrections | None = None
+    """What keeps M_fine off the skin and its edges short, for a model that has a `skin`."""
     beta_scale: float = static(default=2.0)
     beta_periods: tuple[float, ...] = static(default=())
 
@@ -157,12 +161,16 @@ def drape_fields(
         raise ValueError('this model has no fields: it was made with conditioning="node"; use `drape`')
     garment = with_design(model, garment, design)
     base, detail = base_and_detail(config, garment)
-    parts = [
-        StageFields(base, smooth_fields(config, first, garment), functions),
-        StageFields(fine_base(config, detail), fine_fields(config, fine, garment, detail), fine.coefficients),
-    ]
-    smooth_part, fine_part = _carry_fields(garment, *parts)
-    return DrapeFields(smooth_part, fine_part, config.beta_scale, config.beta_periods)
+    smooth_part = StageFields(base, smooth_fields(config, first, garment), functions)
+    fine_part = StageFields(fine_base(config, detail), fine_fields(config, fine, garment, detail), fine.coefficients)
+    fields = DrapeFields(smooth_part, fine_part, None, config.beta_scale, config.beta_periods)
+    corrections = None
+    if model.skin is not None:
+        _, drapes = _evaluate(fields, jnp.asarray(model.skin.polynomials.betas, base.dtype))
+        carried = move_with_graph(garment, drapes, jnp.asarray(garment.graph.vertices))
+        corrections = measure_corrections(model.skin, garment, drapes, carried)
+    smooth_part, fine_part = _carry_fields(garment, smooth_part, fine_part)
+    return dataclasses.replace(fields, smooth=smooth_part, fine=fine_part, corrections=corrections)
 
 
 def apply_fields(fields: DrapeFields, betas: Float[ArrayLike, "*batch b"]) -> Float[Array, "*batch M 3"]:
@@ -249,7 +257,21 @@ def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " 
     own = garment.own
     if own is not None:
         own = dataclasses.replace(own, vertices=move_with_graph(garment, mean, jnp.asarray(garment.graph.vertices)))
-    return dataclasses.replace(garment.with_vertices(mean), design=jnp.asarray(design), own=own)
+    moved = garment.with_vertices(mean)
+    return dataclasses.replace(moved, design=jnp.asarray(design), own=own, rest=_rest_of(garment, moved))
+
+
+def _rest_of(garment: Garment, moved: Garment) -> Float[Array, " E"] | None:
+    """Rest lengths when M̄ is that of another design: edges of the pattern grow as those of M̄ do; metres."""
+    if garment.edges is None or garment.rest is None:
+        return None
+    first, second = jnp.asarray(garment.edges).T
+
+    def length(of: Garment) -> Float[Array, " E"]:
+        points = jnp.asarray(of.graph.vertices)
+        return jnp.sqrt(((points[second] - points[first]) ** 2).sum(-1) + 1e-8)
+
+    return jnp.asarray(garment.rest) * length(moved) / length(garment)
 
 
 def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
@@ -274,41 +296,6 @@ def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P
     )
 
 
-def move_with_graph(
-    garment: Garment, moved: Float[Array, "*batch N 3"], mean: Float[Array, "N 3"]
-) -> Float[Array, "*batch M 3"]:
-    """Vertices of the user's own mesh when the graph's have moved from `mean`; of the graph where there is no other.
-
-    Args:
-        garment: From `prepare`.
-        moved: Vertices of the graph, metres.
-        mean: Where they were, metres.
-
-    Returns:
-        Vertices, metres.
-    """
-    own = garment.own
-    if own is None:
-        return moved
-    shift = (moved - mean.reshape((1,) * (moved.ndim - 2) + mean.shape))[..., jnp.asarray(own.carriers), :]
-    carried = jnp.einsum("mk,...mkc->...mc", jnp.asarray(own.weights), shift, precision=EXACT)
-    return carried + jnp.asarray(own.vertices).reshape((1,) * (moved.ndim - 2) + own.vertices.shape)
-
-
-def carry_values(garment: Garment, values: Float[ArrayLike, " N *rest"]) -> Float[Array, " M *rest"]:
-    """Values at the graph's vertices, interpolated at those of the user's own mesh; themselves where there is no other.
-
-    Args:
-        garment: From `prepare`.
-        values: At each vertex of the graph.
-    """
-    own = garment.own
-    if own is None:
-        return jnp.asarray(values)
-    near = jnp.asarray(values)[jnp.asarray(own.carriers)]
-    return jnp.einsum("mk,mk...->m...", jnp.asarray(own.weights), near, precision=EXACT)
-
-
 def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:
     """Fields at the vertices of the user's own mesh, where there is one: `move_with_graph` is affine."""
     if garment.own is None:
@@ -329,7 +316,8 @@ def _evaluate(fields: DrapeFields, betas: Float[Array, "B b"]) -> tuple[Float[Ar
         return jnp.asarray(stage.offset)[None] + weighted_sum(jnp.asarray(stage.fields), weights)
 
     smooth = part(fields.smooth)
-    return smooth, smooth + part(fields.fine)
+    fine = smooth + part(fields.fine)
+    return smooth, fine if fields.corrections is None else correct(fields.corrections, fine, betas)
 
 
 def _rows(

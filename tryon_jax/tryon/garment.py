@@ -46,6 +46,10 @@ class Garment:
     template_weights: Float[ArrayLike, "*batch N 3"] | None = None
     own: CarriedMesh | None = None
     """The user's mesh where it is not the graph's: then `drape` returns its vertices, N being their padded number."""
+    edges: Int[ArrayLike, "*batch E 2"] | None = None
+    """Edges of the graph's mesh, padded with (0, 0)."""
+    rest: Float[ArrayLike, "*batch E"] | None = None
+    """Length of each in the flat pattern, or on the mean body where there is no pattern, metres; 1 for padding."""
 
     def __eq__(self, other: object) -> bool:
         """Identity: comparing arrays gives an array, not a truth value."""

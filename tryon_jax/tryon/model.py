@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, PRNGKeyArray
 
 from tryon_jax.body.embedded import load_body
+from tryon_jax.contact.skin_samples import SkinSamples, sample_skin
 from tryon_jax.garment import DesignSpace, load_design_space
 from tryon_jax.nets.config import SMALL, TryOnConfig
 from tryon_jax.nets.fabric_functions import FabricFunctions, apply_fabric_functions
@@ -62,6 +63,9 @@ class TryOnModel:
     """Kriged drapes of designs in each fabric, where R_fine starts from them and not from M_smooth."""
     stance: StanceNetwork | None = None
     """R_stance, where there is one."""
+    skin: SkinSamples | None = None
+    """Of the body: with it `drape` keeps cloth clear of the skin; None leaves the networks' drapes as they are, and
+    where they predict no fields there is none."""
     config: TryOnConfig = static(default=SMALL)
 
 
@@ -121,7 +125,14 @@ def init_model(
     if config.kriging is not None:
         sizes = config.template_vertices, config.num_parameters, config.num_betas
         kriging = {fabric: empty_kriging(config.kriging, *sizes) for fabric in config.fabrics}
-    return TryOnModel(mean, smooth, fine, body, kriging, config=config)
+    return keep_off_skin(TryOnModel(mean, smooth, fine, body, kriging, config=config))
+
+
+def keep_off_skin(model: TryOnModel) -> TryOnModel:
+    """The model with the `skin` of its body; one whose networks predict no fields is left as it is."""
+    if model.config.conditioning != "fields":
+        return model
+    return replace(model, skin=sample_skin(model.body, model.config.beta_ranges))
 
 
 def _no_functions(config: TryOnConfig) -> FabricFunctions:

@@ -15,7 +15,7 @@ from tryon_jax.nets.config import SMALL, TryOnConfig
 from tryon_jax.nets.kernel_factor import with_factors, without_factors
 from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.tryon.model import TryOnModel, config_space, init_model, model_parameters
+from tryon_jax.tryon.model import TryOnModel, config_space, init_model, keep_off_skin, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
 from tryon_jax.tryon.stance_file import add_stance
 from tryon_jax.types import Body
@@ -83,7 +83,7 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
         raise ValueError(f"{str(path)!r} was made for something else: " + "; ".join(faults))
     parameters = store.load_tree(path, lambda: _stored(init_model(jax.random.key(0), config, body=body)))
     parameters["kriging"] = {fabric: with_factors(kriging) for fabric, kriging in parameters["kriging"].items()}
-    return TryOnModel(**parameters, body=body, config=config)
+    return keep_off_skin(TryOnModel(**parameters, body=body, config=config))
 
 
 def load_pretrained(name: str = "small") -> TryOnModel:

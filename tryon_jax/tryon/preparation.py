@@ -19,8 +19,10 @@ from tryon_jax.graph.resample import resample
 from tryon_jax.graph.smoothing import make_smoother
 from tryon_jax.mesh.closest_points import MeshSearch
 from tryon_jax.mesh.loaded_garment import LoadedGarment
+from tryon_jax.mesh.quality import edge_lengths
 from tryon_jax.mesh.reading import load_garment
 from tryon_jax.mesh.repair import repair_mesh
+from tryon_jax.mesh.stretch_limit import rest_edges
 from tryon_jax.nets.mlp import apply_mean_drape
 from tryon_jax.tryon.garment import CarriedMesh, Garment
 from tryon_jax.tryon.model import TryOnModel, config_space
@@ -114,13 +116,29 @@ def prepare_mesh(
     template_weights = np.zeros((size, 3), np.float32)
     template_vertices[: len(points)] = mesh.template_vertices
     template_weights[: len(points)] = mesh.template_weights
-    return Garment(
-        graph,
-        make_smoother(points, mesh.faces, config.smoothing_length, size),
-        design,
-        template_vertices,
-        template_weights,
-    )
+    edges, rest = padded_edges(mesh.faces, edge_lengths(mesh.uv, mesh.faces_uv), len(points), size)
+    smoother = make_smoother(points, mesh.faces, config.smoothing_length, size)
+    return Garment(graph, smoother, design, template_vertices, template_weights, edges=edges, rest=rest)
+
+
+def padded_edges(
+    faces: Int[np.ndarray, "F 3"], lengths: Float[np.ndarray, "F 3"], num_vertices: int, size: int
+) -> tuple[Int[np.ndarray, "E 2"], Float[np.ndarray, " E"]]:
+    """`edges` and `rest` of a `Garment`.
+
+    Args:
+        faces: Triangles of the graph's mesh.
+        lengths: Of the edges 0→1, 1→2 and 2→0 of each face at rest, metres.
+        num_vertices: Of the mesh.
+        size: Nodes of the graph.
+    """
+    edges, rest = rest_edges(faces, lengths, num_vertices)
+    capacity = 3 * size
+    while capacity < len(edges):
+        capacity *= 2
+    padded = np.ones(capacity, np.float32)
+    padded[: len(rest)] = rest
+    return pad_rows(edges, capacity, np.int32), padded
 
 
 def _mean_vertices(model: TryOnModel, mesh: GarmentMesh) -> Float[np.ndarray, "V 3"]:
@@ -207,7 +225,9 @@ def _prepare_own(model: TryOnModel, loaded: LoadedGarment, area: float, bucket: 
         laplacian=config.laplacian,
     )
     smoother = make_smoother(points, triangles, config.smoothing_length, graph.num_nodes)
-    if known:
-        return Garment(graph, smoother)
-    found = MeshSearch(points, triangles).closest(vertices)
-    return Garment(graph, smoother, own=_carried_mesh(vertices, faces, triangles[found.face], found.weights))
+    own = None
+    if not known:
+        found = MeshSearch(points, triangles).closest(vertices)
+        own = _carried_mesh(vertices, faces, triangles[found.face], found.weights)
+    edges, rest = padded_edges(triangles, edge_lengths(points, triangles), len(points), graph.num_nodes)
+    return Garment(graph, smoother, own=own, edges=edges, rest=rest)

@@ -14,7 +14,8 @@ from tryon_jax.body.stance import LOWEST, arms_turns
 from tryon_jax.checks import check_choice
 from tryon_jax.nets.config import SMALL, STANCE_EXTENT, TryOnConfig
 from tryon_jax.nets.mlp import MLP
-from tryon_jax.tryon.draping import carry_values, with_design
+from tryon_jax.tryon.carrying import carry_values
+from tryon_jax.tryon.draping import with_design
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import ALL_FABRICS, Stage, StanceNetwork, TryOnModel, init_model, of_fabric
 from tryon_jax.tryon.stages import base_and_detail, fine_fields, stance_coefficients, weighted_sum

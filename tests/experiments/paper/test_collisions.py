@@ -58,7 +58,7 @@ def test_vertices_put_below_the_skin_are_counted_with_their_depth(known, monkeyp
 
 @pytest.mark.slow
 def test_the_record_has_the_error_of_each_case(known, tmp_path):
-    collisions.main(collisions.Config(known.data, known.run, out=tmp_path, garments=0))
+    collisions.main(collisions.Config(known.data, known.run, out=tmp_path, garments=0, random=2))
     record = read_result(tmp_path, "collisions")
     assert record is not None
     assert record["results"]["collision_step"] == {}
@@ -69,6 +69,12 @@ def test_the_record_has_the_error_of_each_case(known, tmp_path):
     # The prediction is the simulation: as much of it lies inside.
     same = measured["unseen design"]
     assert same["vertices_percent"] == pytest.approx(same["simulation_vertices_percent"])
+    random = record["results"]["random"]
+    assert set(random) == {collisions._ALONE, collisions._CLEAR}
+    for rows in random.values():
+        assert {row["drapes"] for row in rows.values()} == {2 * 4}
+    alone, clear = (random[key][FABRICS[0]]["vertices_percent"] for key in (collisions._ALONE, collisions._CLEAR))
+    assert clear < 0.5 * alone
 
 
 def test_collisions_before_and_after():
@@ -84,3 +90,5 @@ def test_collisions_before_and_after():
     lines = "\n".join(collisions.markdown(results))
     assert "| seen (3 drapes), before the collision step | 2.00 | 2.50 | 1.0 · 4.0 | 0.00 | 3.50 |" in lines
     assert "| seen | 0.000 | 5.0 | 3.25 |" in lines
+    results |= {"random": {"alone": {"x": {"drapes": 8, "vertices_percent": 1.25, "mean_deepest_mm": 2.0}}}}
+    assert "| alone (8 drapes) | 1.2500 · 2.00 |" in "\n".join(collisions.markdown(results))
