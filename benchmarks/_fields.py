@@ -1,6 +1,7 @@
 """`drape` with displacement fields: networks once for a garment, one matrix product for all bodies."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -18,8 +19,9 @@ from tryon_jax.tryon import Garment, Stage, TryOnModel, drape, fine_of, load_pre
 
 @cache
 def fields_model(name: str) -> TryOnModel:
-    """The pretrained model for "small", random weights for "paper"."""
-    return load_pretrained() if name == "small" else model_of(PAPER)
+    """The pretrained model for "small", random weights for "paper"; without the corrections for single bodies, whose
+    thresholds rounding may cross."""
+    return replace(load_pretrained() if name == "small" else model_of(PAPER), skin=None)
 
 
 class ReferenceFields:

@@ -17,7 +17,7 @@ from tryon_jax.commands._batch import Batch
 from tryon_jax.commands._clock import Clock
 from tryon_jax.commands._request import resolve_betas
 from tryon_jax.garment import load_design_space
-from tryon_jax.tryon import save_model
+from tryon_jax.tryon import model_file, save_model
 from tryon_jax.wear.session import Session
 from tryon_jax.wear.simulate import Simulated, Simulator
 
@@ -116,8 +116,10 @@ def test_measurements_in_place_of_betas(weights, tmp_path, capsys):
     assert len(json.loads(path.read_text())["betas"]) == 2
 
 
-def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys):
+def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys, monkeypatch):
     """A drape that was written comes back as somebody's mesh, in centimetres."""
+    # Flat panels pass through the body, and would be kept off its skin.
+    monkeypatch.setattr(model_file, "keep_off_skin", lambda model: model)
     first, second = tmp_path / "first.npz", tmp_path / "second.npz"
     assert main(["drape", "--weights", weights, "--design", "tshirt", *COARSE, "--out", str(first)]) == 0
     with np.load(first) as arrays:
@@ -125,7 +127,7 @@ def test_a_mesh_of_the_users_own_is_draped(weights, tmp_path, capsys):
     own = tmp_path / "own.ply"
     trimesh.Trimesh(100 * vertices, faces, process=False).export(own)
     capsys.readouterr()
-    # Flat panels are where no garment would be, and no drape.
+    # Nor are they where a garment would be.
     as_it_is = ["--offset", "0", "0", "0", "--pose-of-garment", "t", "--unit", "cm", "--no-settle", "--no-gate"]
     command = ["drape", "--weights", weights, "--garment", str(own), "--no-push-out", *as_it_is]
     assert main([*command, "--out", str(second)]) == 0

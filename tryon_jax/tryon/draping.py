@@ -81,6 +81,8 @@ def drape(
 ) -> Float[Array, "*batch N 3"]:
     """Vertices of the garment on the body of shape `betas`, metres, padded: `garment.unpad` drops the padding.
 
+    A model with a `skin`, as all that predict fields have, keeps cloth clear of it and edges short (`corrections`).
+
     Pure: jit (`static_argnames="fabric"`), vmap over betas and over stacked garments, grad with respect to betas,
     design, the garment's vertices and every weight. Nothing is compiled anew for another garment of the same bucket.
     For many bodies of one garment, `drape_fields` once and then `apply_fields` save the networks' part.
