@@ -179,8 +179,10 @@ def test_maps_colour_every_vertex(result):
 
 def test_the_command_line_makes_the_same(page, result, tmp_path, monkeypatch):
     from tryon_jax.cli import main
-    from tryon_jax.tryon import save_model
+    from tryon_jax.tryon import model_file, save_model
 
+    # The page's model, made by hand, has no skin to keep off.
+    monkeypatch.setattr(model_file, "keep_off_skin", lambda model: model)
     save_model(tmp_path / "model.safetensors", page.session.model)
     settings = replace(
         result.settings, betas=(0.5, -0.25), design=tuple(page.session.space.preset("tshirt").values), seed=2

@@ -1,6 +1,7 @@
 """Polynomials of a body's shape, fitted to values on a few bodies that cover a range of betas."""
 
 from itertools import combinations_with_replacement
+from math import prod
 
 import jax.numpy as jnp
 import numpy as np
@@ -66,7 +67,9 @@ def polynomial_terms(polynomials: ShapePolynomials, betas: Float[Array, "B b"]) 
     unit = betas / jnp.asarray(polynomials.half_axes)[None]
     # A polynomial says nothing beyond what it was fitted to.
     unit = unit / jnp.maximum(jnp.sqrt((unit * unit).sum(-1, keepdims=True) + 1e-12), 1.0)
-    return jnp.stack([unit[:, list(power)].prod(axis=1) for power in polynomials.powers], axis=1)
+    # A constant that lies on the devices that the betas lie on.
+    one = 0.0 * unit[:, 0] + 1.0
+    return jnp.stack([prod((unit[:, k] for k in power), start=one) for power in polynomials.powers], axis=1)
 
 
 def _shapes_of_unit_ball(dimensions: int, terms: int) -> Float[np.ndarray, "S b"]:

@@ -78,7 +78,8 @@ def measure_clearance(
     every = jnp.asarray(samples.vertices, drapes.dtype), jnp.asarray(samples.normals, drapes.dtype), drapes
     distance, away = jax.lax.map(of_one, every, batch_size=at_once)
     mean = jnp.where(jnp.asarray(mask)[:, None], away.sum(axis=0), 0.0)
-    outward = mean / jnp.maximum(jnp.linalg.norm(mean, axis=-1, keepdims=True), 1e-6)
+    # The derivative of a length is not defined at zero, as at padding.
+    outward = mean / jnp.sqrt((mean * mean).sum(-1, keepdims=True) + 1e-12)
     return Clearance(fit_polynomials(samples.polynomials, jnp.clip(distance, -_FAR, _FAR)), outward)
 
 
