@@ -44,14 +44,13 @@ def pull_together(
     """
     drapes, lengths = jax.lax.stop_gradient((drapes, jnp.asarray(rest, drapes.dtype)))
     ends = jnp.asarray(edges)
-    stretch = (_lengths(drapes, ends) / lengths[None]).max(axis=0)
+    stretch = (_apart(drapes, ends[:, 0], ends[:, 1])[1] / lengths[None]).max(axis=0)
     _, chosen = jax.lax.top_k(stretch, min(len(ends), max(_EDGES, len(ends) // _SHARE)))
     first, second = ends[chosen, 0], ends[chosen, 1]
     allowed = MOST * lengths[chosen]
 
     def is_long(moved: Float[Array, "S N 3"]) -> tuple[Array, Array, Array]:
-        apart = moved[:, second] - moved[:, first]
-        length = jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+        apart, length = _apart(moved, first, second)
         return apart, length, length > 1.001 * allowed[None]
 
     def unfinished(state: tuple[Array, Float[Array, "S N 3"]]) -> Array:
@@ -96,6 +95,9 @@ def apply_pull(pull: EdgePull, vertices: Float[Array, "B M 3"], terms: Float[Arr
     return vertices.at[:, jnp.asarray(pull.vertices)].add(moves)
 
 
-def _lengths(points: Float[Array, "S N 3"], ends: Int[Array, "E 2"]) -> Float[Array, "S E"]:
-    apart = points[:, ends[:, 1]] - points[:, ends[:, 0]]
-    return jnp.sqrt((apart * apart).sum(-1) + 1e-12)
+def _apart(
+    points: Float[Array, "S N 3"], first: Int[Array, " E"], second: Int[Array, " E"]
+) -> tuple[Float[Array, "S E 3"], Float[Array, "S E"]]:
+    """Vectors from the first ends of edges to the second ones, and their lengths."""
+    apart = points[:, second] - points[:, first]
+    return apart, jnp.sqrt((apart * apart).sum(-1) + 1e-12)

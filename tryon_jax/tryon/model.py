@@ -86,6 +86,18 @@ def init_model(
         template_center: Mean of the template's training drapes, about which R_mean predicts; zeros when None.
         space: Design space; by default the one that the configuration names.
     """
+    return keep_off_skin(init_networks(key, config, body=body, template_center=template_center, space=space))
+
+
+def init_networks(
+    key: PRNGKeyArray,
+    config: TryOnConfig,
+    *,
+    body: Body | None = None,
+    template_center: Float[ArrayLike, "T 3"] | None = None,
+    space: DesignSpace | None = None,
+) -> TryOnModel:
+    """`init_model` without the `skin`, for what needs the networks alone; arguments as there."""
     space = space or config_space(config)
     body = body or load_body(config.body)
     keys = jax.random.split(key, 2 + len(config.fabrics))
@@ -125,7 +137,7 @@ def init_model(
     if config.kriging is not None:
         sizes = config.template_vertices, config.num_parameters, config.num_betas
         kriging = {fabric: empty_kriging(config.kriging, *sizes) for fabric in config.fabrics}
-    return keep_off_skin(TryOnModel(mean, smooth, fine, body, kriging, config=config))
+    return TryOnModel(mean, smooth, fine, body, kriging, config=config)
 
 
 def keep_off_skin(model: TryOnModel) -> TryOnModel:

@@ -15,7 +15,7 @@ from tryon_jax.nets.config import SMALL, TryOnConfig
 from tryon_jax.nets.kernel_factor import with_factors, without_factors
 from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
-from tryon_jax.tryon.model import TryOnModel, config_space, init_model, keep_off_skin, model_parameters
+from tryon_jax.tryon.model import TryOnModel, config_space, init_networks, keep_off_skin, model_parameters
 from tryon_jax.tryon.shared_fine import add_shared_fine
 from tryon_jax.tryon.stance_file import add_stance
 from tryon_jax.types import Body
@@ -81,7 +81,7 @@ def load_model(path: str | Path, body: Body | None = None) -> TryOnModel:
     faults = store.compare_records(record, _record(config, body))
     if faults:
         raise ValueError(f"{str(path)!r} was made for something else: " + "; ".join(faults))
-    parameters = store.load_tree(path, lambda: _stored(init_model(jax.random.key(0), config, body=body)))
+    parameters = store.load_tree(path, lambda: _stored(init_networks(jax.random.key(0), config, body=body)))
     parameters["kriging"] = {fabric: with_factors(kriging) for fabric, kriging in parameters["kriging"].items()}
     return keep_off_skin(TryOnModel(**parameters, body=body, config=config))
 

@@ -9,7 +9,7 @@ import jax
 
 from tryon_jax.nets import store
 from tryon_jax.nets.config import TryOnConfig
-from tryon_jax.tryon.model import ALL_FABRICS, TryOnModel, init_model
+from tryon_jax.tryon.model import ALL_FABRICS, TryOnModel, init_networks
 
 _SHARED = ("shared_fabrics", "fabric_functions", "fabric_numbers")
 """Entries of the configuration that are of the R_fine of all fabrics."""
@@ -60,7 +60,7 @@ def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
     if faults:
         raise ValueError(f"{str(path)!r} does not fit the model: " + "; ".join(faults))
     alone = dataclasses.replace(config, fabrics=(), kriging=None)
-    fine = store.load_tree(path, lambda: init_model(jax.random.key(0), alone, body=model.body).fine)
+    fine = store.load_tree(path, lambda: init_networks(jax.random.key(0), alone, body=model.body).fine)
     return dataclasses.replace(model, fine={**model.fine, **fine}, config=config)
 
 

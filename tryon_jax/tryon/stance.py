@@ -17,7 +17,7 @@ from tryon_jax.nets.mlp import MLP
 from tryon_jax.tryon.carrying import carry_values
 from tryon_jax.tryon.draping import with_design
 from tryon_jax.tryon.garment import Garment
-from tryon_jax.tryon.model import ALL_FABRICS, Stage, StanceNetwork, TryOnModel, init_model, of_fabric
+from tryon_jax.tryon.model import ALL_FABRICS, Stage, StanceNetwork, TryOnModel, init_networks, of_fabric
 from tryon_jax.tryon.stages import base_and_detail, fine_fields, stance_coefficients, weighted_sum
 from tryon_jax.types import EXACT, ArrayLike, Body, pytree, static
 
@@ -42,7 +42,7 @@ def init_stance(key: PRNGKeyArray, config: TryOnConfig, body: Body) -> StanceNet
         config: From `stance_config`.
         body: The body that it is for.
     """
-    return StanceNetwork(init_model(key, config, body=body).fine[ALL_FABRICS], config)
+    return StanceNetwork(init_networks(key, config, body=body).fine[ALL_FABRICS], config)
 
 
 def stance_fields(
