@@ -97,7 +97,15 @@ def init_networks(
     template_center: Float[ArrayLike, "T 3"] | None = None,
     space: DesignSpace | None = None,
 ) -> TryOnModel:
-    """`init_model` without the `skin`, for what needs the networks alone; arguments as there."""
+    """`init_model` without the `skin`, for what needs the networks alone.
+
+    Args:
+        key: Random key.
+        config: Sizes and conventions.
+        body: As in `init_model`.
+        template_center: As in `init_model`.
+        space: As in `init_model`.
+    """
     space = space or config_space(config)
     body = body or load_body(config.body)
     keys = jax.random.split(key, 2 + len(config.fabrics))
