@@ -25,6 +25,7 @@ from tryon_jax.tryon import (
     load_pretrained,
     prepare,
 )
+from tryon_jax.tryon.draping import with_design
 
 BETAS = jnp.array([[0.5, -1.0], [1.0, 2.0], [0.0, 0.0]])
 draped = jax.jit(drape, static_argnames="fabric")
@@ -77,6 +78,21 @@ def test_another_design_at_the_same_topology_has_its_own_fields(model: TryOnMode
     expected = draped(model, garment, BETAS, design=design)
     np.testing.assert_allclose(apply_fields(fields, BETAS), expected, atol=1e-6)
     assert np.abs(np.asarray(expected) - np.asarray(draped(model, garment, BETAS))).max() > 1e-3
+
+
+def test_edges_at_rest_grow_with_the_mean_drape(model: TryOnModel, garment: Garment) -> None:
+    design = jnp.asarray(garment.design)
+    same = with_design(model, garment, design)
+    np.testing.assert_allclose(np.asarray(same.rest), np.asarray(garment.rest), rtol=1e-4)
+    # A mean drape that is a tenth larger, about the origin: so is the pattern.
+    mean = dataclasses.replace(model.mean, template_scale=0.0 * model.mean.template_scale)
+    larger = dataclasses.replace(mean, template_center=1.1 * mean.template_center)
+    start = with_design(dataclasses.replace(model, mean=mean), garment, design)
+    grown = with_design(dataclasses.replace(model, mean=larger), start, design)
+    assert garment.edges is not None
+    first, second = np.asarray(garment.edges).T
+    real = first != second
+    np.testing.assert_allclose(np.asarray(grown.rest)[real], 1.1 * np.asarray(start.rest)[real], rtol=1e-3)
 
 
 def test_fields_of_an_own_mesh_move_its_own_vertices(model: TryOnModel, garment: Garment) -> None:
