@@ -16,6 +16,7 @@ from experiments.shared.evaluate import (
     Stack,
     available,
     case_names,
+    fine_parts,
     held_out_rows,
     load_all,
     map_pattern,
@@ -30,14 +31,13 @@ from experiments.shared.refined import Refiner
 from tryon_jax.checks import check_range
 from tryon_jax.contact.skin import Skin
 from tryon_jax.garment.manifest import load_manifest
-from tryon_jax.metrics import compare_wrinkles, fine_part, vertex_distances
+from tryon_jax.metrics import compare_wrinkles, vertex_distances
 from tryon_jax.nets.kriging import Kriging, KrigingConfig
 from tryon_jax.training.dataset import default_root, read_config
 from tryon_jax.training.garments import SimulatedGarment
 from tryon_jax.training.kriging import KrigingFit
 from tryon_jax.training.node_drapes import read_nodes
 from tryon_jax.training.run_folder import model_path
-from tryon_jax.training.stage_prediction import CHUNK
 from tryon_jax.tryon import TryOnModel, load_model
 from tryon_jax.tryon.shared_fine import add_shared_fine
 
@@ -184,13 +184,13 @@ def measure(
         if fabric in rivals:
             drapes["paper form"] = rivals[fabric]
         simulated = samples.drapes[fabric][rows, :count]
-        fine = _fine(samples, simulated)
+        fine = fine_parts(samples, simulated)
         for row, shown in {**drapes, "simulation": simulated}.items():
             errors = table.setdefault(row, {}).setdefault(fabric, Errors())
             errors.add(vertex_distances(shown, simulated), ends)
             errors.inside += [skin.inside_share(shown[k]) for skin, k in zip(skins, looked_at, strict=True)]
             if len(rows) > 1:
-                errors.wrinkles.append(compare_wrinkles(_fine(samples, shown), fine))
+                errors.wrinkles.append(compare_wrinkles(fine_parts(samples, shown), fine))
         own = table.setdefault("smooth, own target", {}).setdefault(fabric, Errors())
         own.add(vertex_distances(drapes["smooth"], samples.target[rows, :count]), ends)
     return table
@@ -207,7 +207,7 @@ def _predictions(
     mean, count = samples.garment.mean_vertices, samples.garment.num_vertices
     still = np.broadcast_to(mean[None], (len(rows), count, 3))
     moved = transfer(pipeline.model, mean, samples.betas[rows])
-    detail = _fine(samples, mean[None])
+    detail = fine_parts(samples, mean[None])
     origin = np.flatnonzero((samples.betas == 0).all(axis=1))
     found = {}
     for fabric, stages in predicted.items():
@@ -225,18 +225,9 @@ def _predictions(
         bare = pipeline.without_design(samples, rows, fabric)
         drapes |= {} if bare is None else {"bare": bare}
         if len(origin) and samples.good[fabric][origin].all():
-            drapes["carried offset"] = stages.smooth + _fine(samples, samples.drapes[fabric][origin, :count])
+            drapes["carried offset"] = stages.smooth + fine_parts(samples, samples.drapes[fabric][origin, :count])
         found[fabric] = drapes
     return found
-
-
-def _fine(samples: SimulatedGarment, drapes: Stack) -> Stack:
-    count = samples.garment.num_vertices
-    # Padded in shapes as well, so that few sizes are compiled.
-    size = -(-len(drapes) // CHUNK) * CHUNK
-    padded = np.zeros((size, samples.garment.graph.num_nodes, 3), np.float32)
-    padded[: len(drapes), :count] = drapes
-    return fine_part(samples.garment.smoother, padded)[: len(drapes), :count]
 
 
 def measure_refined(
@@ -254,7 +245,7 @@ def measure_refined(
         errors = table.setdefault("refined", {}).setdefault(fabric, Errors())
         errors.add(vertex_distances(refined, simulated), ray_ends(betas))
         if len(rows) > 1:
-            errors.wrinkles.append(compare_wrinkles(_fine(samples, refined), _fine(samples, simulated)))
+            errors.wrinkles.append(compare_wrinkles(fine_parts(samples, refined), fine_parts(samples, simulated)))
 
 
 def measure_spread(

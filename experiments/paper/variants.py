@@ -9,12 +9,13 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from experiments.shared.evaluate import Pipeline, held_out_rows, spread
+from experiments.shared.evaluate import Pipeline, fine_parts, held_out_rows, spread
 from tryon_jax.garment.manifest import Manifest
-from tryon_jax.metrics import vertex_distances
+from tryon_jax.metrics import compare_wrinkles, vertex_distances
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.unet import UNetConfig, count_parameters
-from tryon_jax.training.garments import SimulatedGarment
+from tryon_jax.physics.fabrics import load_fabric
+from tryon_jax.training.garments import SimulatedGarment, load_cloth
 from tryon_jax.training.stage_fit import fit_stage
 from tryon_jax.training.stage_options import StageOptions
 from tryon_jax.training.stage_prediction import Predictor
@@ -47,6 +48,10 @@ class Variant:
     """Train on the manifest's additional designs as well."""
     shapes: str = "all"
     """ "all", "first beta": along the first beta alone, or "block": all but `BLOCK`."""
+    bodies: int = 0
+    """Body shapes of each garment in a batch; 0 leaves them."""
+    loss: Mapping[str, float] = field(default_factory=dict)
+    """Weights of further terms in R_fine's loss, fields of `StageOptions`."""
 
 
 _FLAT = UNetConfig(widths=(48,), encoder_convs=11)
@@ -56,12 +61,18 @@ VARIANTS: dict[str, Variant] = {
     "node": Variant(
         "the paper's form: betas at each node, no waves, no design, symmetric Laplacian",
         {"conditioning": "node", "wavelengths": (), "design_features": False, "laplacian": "symmetric"},
+        # Each body is a pass of the networks: with so many a step takes about as long.
+        bodies=4,
     ),
     "no-waves": Variant("no sines and cosines of the position", {"wavelengths": ()}),
     "no-design": Variant("nodes do not know the design", {"design_features": False}),
+    "pattern": Variant("nodes know their place on the pattern, and its waves", {"pattern_features": True}),
     "symmetric": Variant("symmetric Laplacian", {"laplacian": "symmetric"}),
     "fields-8": Variant("K = 8 fields", {"fields": 8}),
     "fields-48": Variant("K = 48 fields", {"fields": 48}),
+    "edges": Variant("R_fine's loss has the error of edges too", loss={"edges": 2.0}),
+    "normals": Variant("R_fine's loss has the error of normals too", loss={"normals": 10.0}),
+    "energy": Variant("R_fine's loss has the cloth's energy too", loss={"energy": 0.01}),
     "no-weights": Variant("no skinning weights in the node", skinning_weights=False),
     "one-stage": Variant("one network in place of R_smooth and R_fine", {"reference": "paper"}, one_stage=True),
     "no-pooling": Variant(
@@ -138,6 +149,7 @@ def train_variant(
     samples: Sequence[SimulatedGarment],
     manifest: Manifest,
     fabric: str,
+    root: Path,
     folder: Path,
     options: StageOptions,
     fine_steps: int,
@@ -151,6 +163,7 @@ def train_variant(
         samples: the garments that the variant sees, without test garments.
         manifest: the splits.
         fabric: whose R_fine is trained.
+        root: of the dataset, which has the rest states of garments.
         folder: keeps checkpoints.
         options: of R_smooth's training, and of R_fine's but for the steps.
         fine_steps: of R_fine's.
@@ -168,7 +181,7 @@ def train_variant(
 
     def steps(count: int) -> StageOptions:
         loop = replace(options.loop, steps=count, evaluate_every=min(options.loop.evaluate_every, count))
-        return replace(options, loop=loop)
+        return replace(options, loop=loop, shapes=variant.bodies or options.shapes)
 
     sets = [restrict(kept(s), x) for s, x in zip(samples, smooth_sets(samples, manifest), strict=True)]
     total = options.loop.steps
@@ -192,9 +205,20 @@ def train_variant(
         return model, record
     predictor = Predictor(config, "smooth")
     before = [predictor(stage, s.garment, s.betas) for s in samples]
-    fine = [restrict(kept(s), x) for s, x in zip(samples, fine_sets(samples, manifest, fabric, before), strict=True)]
-    started = model.fine[fabric]
-    stage, last = fit_stage(model, "fine", started, fine, folder / f"fine-{fabric}", steps(fine_steps), checksum)
+    fine_options = replace(steps(fine_steps), **variant.loss)
+    cloths = [load_cloth(root, s) for s in samples] if fine_options.energy else None
+    sets = fine_sets(samples, manifest, fabric, before, cloths)
+    fine = [restrict(kept(s), x) for s, x in zip(samples, sets, strict=True)]
+    stage, last = fit_stage(
+        model,
+        "fine",
+        model.fine[fabric],
+        fine,
+        folder / f"fine-{fabric}",
+        fine_options,
+        checksum,
+        load_fabric(fabric),
+    )
     model = replace(model, fine={fabric: stage})
     record["parameters"] += count_parameters(stage.net)
     record["fine"] = {key: last[key] for key in ("steps", "seconds", "curve")}
@@ -204,7 +228,7 @@ def train_variant(
 def measure_variant(
     variant: Variant, model: TryOnModel, cases: Mapping[str, Sequence[SimulatedGarment]], fabric: str, shapes: int
 ) -> dict[str, list[dict[str, Any]]]:
-    """Error of each test sample of each garment in each case, millimetres: M_smooth and M_fine.
+    """Error of each test sample of each garment in each case, millimetres: M_smooth and M_fine; and of its folds.
 
     All shapes of the block and along the first beta are measured, and `shapes` others.
     """
@@ -222,9 +246,11 @@ def measure_variant(
             predicted = pipeline(samples, rows, [fabric])[fabric]
             fine = predicted.smooth if variant.one_stage else predicted.fine
             simulated = samples.drapes[fabric][rows, : samples.garment.num_vertices]
+            folds = compare_wrinkles(*(fine_parts(samples, x) for x in (fine, simulated))) if len(rows) > 1 else None
             found[case].append(
                 {
                     "name": garment.name,
+                    "folds": None if folds is None else [folds.varying, folds.correlation],
                     "betas": samples.betas[rows].tolist(),
                     "smooth_mm": (1e3 * vertex_distances(predicted.smooth, simulated).mean(axis=1)).tolist(),
                     "fine_mm": (1e3 * vertex_distances(fine, simulated).mean(axis=1)).tolist(),

@@ -12,11 +12,12 @@ from tqdm import tqdm
 from experiments.shared.record import simulated_fabrics, stages_trained
 from tryon_jax.garment.manifest import Manifest
 from tryon_jax.garment.pattern_map import PatternMap, map_patterns
+from tryon_jax.metrics import fine_part
 from tryon_jax.nets.kriging import Kriging
 from tryon_jax.training.dataset import load_arrays, mesh_path, read_config
 from tryon_jax.training.garments import SimulatedGarment, load_simulated
 from tryon_jax.training.protocol import EXTENT
-from tryon_jax.training.stage_prediction import Predictor
+from tryon_jax.training.stage_prediction import CHUNK, Predictor
 from tryon_jax.tryon import (
     Garment,
     Stage,
@@ -88,6 +89,16 @@ class Pipeline:
         shapes = np.asarray(skin.polynomials.betas)
         on_skins = self._fine(stage, garment, shapes, self._smooth(first, garment, shapes))
         return np.asarray(self._correct(self._measure(skin, garment, on_skins, on_skins), fine, betas))
+
+
+def fine_parts(samples: SimulatedGarment, drapes: Stack) -> Stack:
+    """What smoothing takes from some drapes of a garment, unpadded, metres."""
+    count = samples.garment.num_vertices
+    # Padded in shapes as well, so that few sizes are compiled.
+    size = -(-len(drapes) // CHUNK) * CHUNK
+    padded = np.zeros((size, samples.garment.graph.num_nodes, 3), np.float32)
+    padded[: len(drapes), :count] = drapes
+    return fine_part(samples.garment.smoother, padded)[: len(drapes), :count]
 
 
 def open_model(path: Path, untrained: bool, fabrics: tuple[str, ...]) -> TryOnModel:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tryon_jax.garment import Design, build_template, dense_template, load_design_space, load_layout, remesh
 from tryon_jax.garment.locate import barycentric, locate, on_edges
 from tryon_jax.garment.morph import mean_value_laplacian, morph, spread, untangle
+from tryon_jax.garment.pattern_place import pattern_places
 from tryon_jax.garment.sewing import edge_counts, sample_outline, sew
 from tryon_jax.garment.template import load_reference, make_reference, save_reference
 from tryon_jax.garment.triangulate import delaunay_inside
@@ -229,3 +230,17 @@ def test_another_layout_needs_no_code(tmp_path: Path) -> None:
     assert report.is_manifold
     assert (report.euler, report.loops, report.components) == (0, 2, 1)
     assert garment.quality.min_angle > 20
+
+
+def test_places_on_the_pattern_are_those_of_the_panels() -> None:
+    places = pattern_places(MEAN)
+    front_or_back = np.abs(places[:, 2]) == 1
+    alone = MEAN.vertex_uv[front_or_back]
+    np.testing.assert_allclose(places[front_or_back, :2], MEAN.uv[alone])
+    seams = np.unique(np.concatenate(list(MEAN.seams.values())))
+    np.testing.assert_allclose(places[seams, 2], 0.0)
+    # The two sides of a seam of this layout lie at one place.
+    np.testing.assert_allclose(places[seams, :2], MEAN.uv[MEAN.vertex_uv[seams]], atol=0.01)
+    sides = np.array([MEAN.panel_sides[k] for k in MEAN.panels])
+    for side, sign in (("front", 1.0), ("back", -1.0)):
+        assert (places[MEAN.faces[sides == side], 2] * sign >= 0).all()

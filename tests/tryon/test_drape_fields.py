@@ -24,6 +24,7 @@ from tryon_jax.tryon import (
     init_model,
     load_pretrained,
     prepare,
+    smooth_features,
 )
 from tryon_jax.tryon.draping import with_design
 
@@ -184,6 +185,28 @@ def test_a_model_in_the_papers_form_has_no_fields_and_still_drapes() -> None:
     assert mesh_model.config.conditioning == "fields"
     with pytest.raises(ValueError, match="linen"):
         drape_fields(mesh_model, garment, fabric="linen")
+
+
+def test_places_on_the_pattern_are_features_that_a_bare_mesh_lacks(garment: Garment) -> None:
+    config = dataclasses.replace(TINY, pattern_features=True)
+    bare = dataclasses.replace(garment, design=None, template_vertices=None, template_weights=None)
+    plain, found, without = (
+        smooth_features(c, g)[:, 0] for c, g in ((TINY, garment), (config, garment), (config, bare))
+    )
+    assert found.shape[1] == config.smooth_features == TINY.smooth_features + 3 + 4 * len(config.wavelengths)
+    places = np.asarray(found[:, plain.shape[1] :])
+    np.testing.assert_array_equal(found[:, : plain.shape[1]], plain)
+    np.testing.assert_array_equal(without[:, plain.shape[1] :], 0.0)
+    np.testing.assert_array_equal(places[garment.num_vertices :], 0.0)
+    side = places[: garment.num_vertices, 2]
+    assert {-1.0, 0.0, 1.0} <= set(np.round(side, 3).tolist())
+    # The front of a garment is before its back, and v grows upwards.
+    depth, height = garment.mean_vertices[:, 2], garment.mean_vertices[:, 1]
+    assert depth[side > 0.5].mean() > depth[side < -0.5].mean() + 0.05
+    assert np.corrcoef(places[: garment.num_vertices, 1], height)[0, 1] > 0.9
+    model = make_model(config)
+    assert np.isfinite(np.asarray(draped(model, garment, BETAS))).all()
+    assert np.isfinite(np.asarray(draped(model, bare, BETAS))).all()
 
 
 def test_a_bare_mesh_is_told_no_design(model: TryOnModel, garment: Garment) -> None:

@@ -16,6 +16,9 @@ Conditioning = Literal["fields", "node"]
 STANCE_EXTENT = 2.0
 """What the lowest stance of the arms counts as, beside betas of about this size."""
 
+ADDED_LATER: dict[str, Any] = {"stance": False, "pattern_features": False}
+"""Entries of a configuration that older files do not name, as they were then."""
+
 KRIGED_NET = UNetConfig(widths=(48, 64, 96, 128))
 """An R_fine that starts from kriged drapes, which leave less to learn."""
 
@@ -74,6 +77,9 @@ class TryOnConfig:
     """Wavelengths, metres, of sines and cosines of the mean drape's positions among the node features."""
     design_features: bool = True
     """The design's parameters are features of every node; zeros, the middle of the space, for a mesh without one."""
+    pattern_features: bool = False
+    """The place on the mean design's flat pattern, its sines and cosines, and the side are features of every node;
+    zeros for a mesh without a design."""
     num_parameters: int = 3
     """Active design parameters."""
     reference: Reference = "smoothed"
@@ -107,9 +113,11 @@ class TryOnConfig:
 
     @property
     def position_features(self) -> int:
-        """Node features of both networks that do not depend on the body: position, its waves, skinning, design."""
-        waves = 6 * len(self.wavelengths)
-        return 3 + self.num_joints + waves + self.num_parameters * self.design_features
+        """Node features of both networks that do not depend on the body: position, its waves, skinning, design, place
+        on the pattern."""
+        waves = len(self.wavelengths)
+        pattern = (3 + 4 * waves) * self.pattern_features
+        return 3 + self.num_joints + 6 * waves + self.num_parameters * self.design_features + pattern
 
     @property
     def smooth_features(self) -> int:

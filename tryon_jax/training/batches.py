@@ -50,7 +50,7 @@ class BatchSource:
             garments: Garments of a batch.
             shapes: Shapes of each.
             no_design: Design that takes the place of a garment's own one, metres.
-            dropout: Share of the garments drawn whose design is replaced.
+            dropout: Share of the garments drawn whose design is replaced, and whose place on the pattern is forgotten.
         """
         self.shapes, self.garments, self.no_design, self.dropout = shapes, garments, no_design, dropout
         self.sets = [s for s in sets if s.train.any()]
@@ -85,7 +85,9 @@ class BatchSource:
     def _with_or_without_design(self, garment: Garment, rng: np.random.Generator) -> Garment:
         if self.no_design is None or garment.design is None or rng.random() >= self.dropout:
             return garment
-        return replace(garment, design=self.no_design.astype(np.float32))
+        known = garment.template_weights
+        without = None if known is None else np.zeros_like(known)
+        return replace(garment, design=self.no_design.astype(np.float32), template_weights=without)
 
     @staticmethod
     def _cloths(chosen: Sequence[StageSet]) -> Cloth | None:

@@ -64,7 +64,17 @@ def fit_stage(
         used = weights.of(stage)
         if options.precision == "bfloat16":
             used = replace(used, net=cast_net(used.net, jnp.bfloat16))
-        return stage_loss(model.config, kind, used, batch, options.distance, options.energy, fabric)
+        return stage_loss(
+            model.config,
+            kind,
+            used,
+            batch,
+            options.distance,
+            options.energy,
+            fabric,
+            options.edges,
+            options.normals,
+        )
 
     def evaluate(weights: StageWeights) -> float:
         return validation_error(predictor, weights.of(stage), sets)

@@ -22,6 +22,7 @@ from tryon_jax.physics.state import GRAVITY
 from tryon_jax.physics.stretch import stretch_energy
 from tryon_jax.training.batches import StageBatch
 from tryon_jax.training.stage_prediction import predict
+from tryon_jax.training.surface_loss import edge_error, normal_error
 from tryon_jax.tryon import Stage, of_fabric
 from tryon_jax.types import pytree
 
@@ -53,6 +54,8 @@ def stage_loss(
     distance: Distance = "squared",
     energy: float = 0.0,
     fabric: Fabric | None = None,
+    edges: float = 0.0,
+    normals: float = 0.0,
 ) -> Float[Array, ""]:
     """Mean vertex error over the stage's scale (dimensionless), every drape alike.
 
@@ -64,6 +67,8 @@ def stage_loss(
         distance: see `displacement_error`.
         energy: weight of the cloth's energy of the prediction, see `relative_energy`.
         fabric: the stage's fabric, where there is such a weight.
+        edges: weight of the edges' error, see `edge_error`.
+        normals: weight of the normals' error, see `normal_error`.
     """
     predicted = map_garments(
         lambda g, b, i, n: predict(config, kind, of_fabric(stage, n), g, b, i),
@@ -74,7 +79,13 @@ def stage_loss(
     )
     mask = jnp.asarray(batch.garments.graph.mask)
     scale = jax.lax.stop_gradient(jnp.asarray(stage.scale))
-    loss = displacement_error(predicted, jnp.asarray(batch.targets), mask, scale, distance)
+    targets = jnp.asarray(batch.targets)
+    loss = displacement_error(predicted, targets, mask, scale, distance)
+    faces = jnp.asarray(batch.garments.graph.faces)
+    for weight, error in ((edges, edge_error), (normals, normal_error)):
+        if weight:
+            of_bodies = jax.vmap(error, (0, 0, None))
+            loss = loss + weight * jax.vmap(of_bodies)(predicted, targets, faces).mean()
     if energy and fabric is not None and batch.cloth is not None:
         many = jax.vmap(jax.vmap(relative_energy, (0, None, None)), (0, 0, None))
         loss = loss + energy * many(predicted, batch.cloth, fabric).mean()

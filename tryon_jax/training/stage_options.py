@@ -33,6 +33,10 @@ class StageOptions:
     """Arithmetic of the network while it is trained; weights, optimiser, losses and the result stay float32."""
     energy: float = 0.0
     """Weight of the cloth's energy in R_fine's loss (see `relative_energy`): keeps folds that ℓ² alone blurs."""
+    edges: float = 0.0
+    """Weight of the error of edges in the loss (see `edge_error`)."""
+    normals: float = 0.0
+    """Weight of the error of normals in the loss (see `normal_error`)."""
     distance: Distance = "plain"
     """Error that is minimised: the plain distance, or the squared one (see `displacement_error`)."""
     coefficients: Literal["principal", "trained"] = "principal"

@@ -1,12 +1,18 @@
 """What the networks see at each node of a garment (sections 4.2 and 4.3 of the paper, and what goes beyond it)."""
 
+import functools
+
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from tryon_jax.garment import build_template, load_design_space
+from tryon_jax.garment.pattern_place import pattern_places
 from tryon_jax.nets.config import TryOnConfig
 from tryon_jax.nets.fourier import fourier_features
 from tryon_jax.tryon.garment import Garment
 from tryon_jax.tryon.model import config_space
+from tryon_jax.types import EXACT
 
 
 def smooth_features(
@@ -63,7 +69,32 @@ def _garment_features(config: TryOnConfig, garment: Garment, points: Float[Array
         parts.append(fourier_features(points, config.wavelengths))
     if config.design_features:
         parts.append(scaled_design(config, garment).astype(points.dtype)[None, None, :])
+    if config.pattern_features:
+        parts.append(_pattern_features(config, garment, points.dtype)[:, None, :])
     return parts
+
+
+def _pattern_features(config: TryOnConfig, garment: Garment, dtype: jnp.dtype) -> Float[Array, "N f"]:
+    """Place and side on the flat pattern of the mean design, and the waves of the place; zeros without a design.
+
+    It is the mean design's for all: how far a design differs from it, the design says.
+    """
+    if garment.template_vertices is None or garment.template_weights is None:
+        return jnp.zeros((garment.graph.num_nodes, 3 + 4 * len(config.wavelengths)), dtype)
+    weights = jnp.asarray(garment.template_weights, dtype)
+    table = jnp.asarray(_template_places(config.layout, config.template_vertices), dtype)
+    places = jnp.einsum("nk,nkc->nc", weights, table[garment.template_vertices], precision=EXACT)
+    waves = fourier_features(places[:, :2], config.wavelengths)
+    features = jnp.concatenate([places[:, :2] / config.position_scale, places[:, 2:], waves], axis=1)
+    # Without a place there are no waves of it either.
+    return jnp.where(weights.any(axis=1, keepdims=True), features, 0.0)
+
+
+@functools.cache
+def _template_places(layout: str, vertices: int) -> Float[np.ndarray, "T 3"]:
+    """Host side: where the template's vertices lie on the mean design's pattern."""
+    space = load_design_space(layout)
+    return pattern_places(build_template(space, space.mean_design, vertices))
 
 
 def _beta_features(config: TryOnConfig, betas: Float[Array, "B b"] | None) -> list[Array]:

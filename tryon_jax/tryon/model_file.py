@@ -11,7 +11,7 @@ import jax
 from tryon_jax.body.embedded import load_body
 from tryon_jax.checks import check_choice
 from tryon_jax.nets import store
-from tryon_jax.nets.config import SMALL, TryOnConfig
+from tryon_jax.nets.config import ADDED_LATER, SMALL, TryOnConfig
 from tryon_jax.nets.kernel_factor import with_factors, without_factors
 from tryon_jax.nets.kriging import KrigingConfig
 from tryon_jax.nets.unet import UNetConfig
@@ -25,7 +25,7 @@ SHARED = "-fabrics"
 STANCE = "-stance"
 """The same with R_stance."""
 
-_BEFORE_FIELDS = {
+_BEFORE_FIELDS = ADDED_LATER | {
     "beta_extent": [3.0, 2.0],
     "conditioning": "node",
     "fields": 24,
@@ -38,12 +38,11 @@ _BEFORE_FIELDS = {
     "shared_fabrics": [],
     "fabric_functions": 6,
     "fabric_numbers": 4,
-    "stance": False,
     "kriging": None,
     "kriged_fine": store.config_record(SMALL.kriged_fine),
 }
-"""Defaults for files that were written before networks predicted fields, saw the fabric or the stance, or started from
-kriged drapes."""
+"""Defaults for files that were written before networks predicted fields, saw the fabric, or started from kriged
+drapes."""
 
 
 def save_model(

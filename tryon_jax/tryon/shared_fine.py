@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from tryon_jax.nets import store
-from tryon_jax.nets.config import TryOnConfig
+from tryon_jax.nets.config import ADDED_LATER, TryOnConfig
 from tryon_jax.tryon.model import ALL_FABRICS, TryOnModel, init_networks
 
 _SHARED = ("shared_fabrics", "fabric_functions", "fabric_numbers")
@@ -49,8 +49,7 @@ def add_shared_fine(model: TryOnModel, path: str | Path) -> TryOnModel:
         ValueError: It is damaged, or was trained on another R_mean or R_smooth.
     """
     record = store.read_record(path)
-    # Files that were written before there was R_stance do not name it.
-    found = {"stance": False} | dict(record.get("config", {}))
+    found = ADDED_LATER | dict(record.get("config", {}))
     shared = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _SHARED}
     config: TryOnConfig = dataclasses.replace(model.config, **shared)
     wanted = store.config_record(config) | {name: found.get(name) for name in _OTHERS}

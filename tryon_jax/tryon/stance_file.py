@@ -8,7 +8,7 @@ from typing import Any
 import jax
 
 from tryon_jax.nets import store
-from tryon_jax.nets.config import TryOnConfig, stance_config
+from tryon_jax.nets.config import ADDED_LATER, TryOnConfig, stance_config
 from tryon_jax.nets.unet import UNetConfig
 from tryon_jax.tryon.model import StanceNetwork, TryOnModel
 from tryon_jax.tryon.stance import init_stance
@@ -56,7 +56,7 @@ def add_stance(model: TryOnModel, path: str | Path) -> TryOnModel:
         ValueError: It is damaged, or was trained for another body or other graphs.
     """
     record = store.read_record(path)
-    found = dict(record.get("config", {}))
+    record["config"] = found = ADDED_LATER | dict(record.get("config", {}))
     own: dict[str, Any] = {name: tuple(v) if isinstance(v := found.get(name), list) else v for name in _OWN}
     fine: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in dict(found.get("fine") or {}).items()}
     if set(fine) != {field.name for field in dataclasses.fields(UNetConfig)}:
