@@ -26,7 +26,7 @@ from tryon_jax.tryon import (
     prepare,
     smooth_features,
 )
-from tryon_jax.tryon.draping import with_design
+from tryon_jax.tryon.mean_drape import with_design
 
 BETAS = jnp.array([[0.5, -1.0], [1.0, 2.0], [0.0, 0.0]])
 draped = jax.jit(drape, static_argnames="fabric")

@@ -13,12 +13,12 @@ from tryon_jax.tryon.draping import (
     drape_stages,
     field_stages,
     fine_of,
-    mean_drape,
     stages_of,
     with_design,
 )
 from tryon_jax.tryon.features import fine_features, smooth_features
 from tryon_jax.tryon.garment import CarriedMesh, Garment, array_shapes, stack_garments
+from tryon_jax.tryon.mean_drape import mean_drape
 from tryon_jax.tryon.model import (
     ALL_FABRICS,
     Stage,

@@ -9,10 +9,11 @@ from jaxtyping import Array, Float
 from tryon_jax.checks import check_choice
 from tryon_jax.contact.penetration import BodyContact, PenetrationReport, report_penetration
 from tryon_jax.nets.kriging import Kriging, ShapeFunctions
-from tryon_jax.nets.mlp import MLP, apply_mean_drape
+from tryon_jax.nets.mlp import MLP
 from tryon_jax.tryon.carrying import carry_values, move_with_graph
 from tryon_jax.tryon.corrections import Corrections, correct, measure_corrections
 from tryon_jax.tryon.garment import Garment
+from tryon_jax.tryon.mean_drape import with_design
 from tryon_jax.tryon.model import ALL_FABRICS, Stage, TryOnModel, of_fabric
 from tryon_jax.tryon.stages import (
     base_and_detail,
@@ -25,7 +26,7 @@ from tryon_jax.tryon.stages import (
     smooth_stage,
     weighted_sum,
 )
-from tryon_jax.types import EXACT, ArrayLike, pytree, static
+from tryon_jax.types import ArrayLike, pytree, static
 
 
 @pytree
@@ -240,62 +241,6 @@ def fine_of(model: TryOnModel, fabric: str | Float[ArrayLike, " F"] | None) -> S
     stage = model.fine[ALL_FABRICS]
     assert stage.fabrics is not None
     return of_fabric(stage, jnp.asarray(stage.fabrics.known)[config.shared_fabrics.index(name)])
-
-
-def with_design(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"] | None) -> Garment:
-    """The garment with M̄ of another design at its fixed topology; the garment itself where `design` is None.
-
-    Args:
-        model: Its R_mean.
-        garment: From `prepare`.
-        design: Parameters, metres.
-
-    Raises:
-        ValueError: the garment was not made from a design.
-    """
-    if design is None:
-        return garment
-    mean = mean_drape(model, garment, design)
-    own = garment.own
-    if own is not None:
-        own = dataclasses.replace(own, vertices=move_with_graph(garment, mean, jnp.asarray(garment.graph.vertices)))
-    moved = garment.with_vertices(mean)
-    return dataclasses.replace(moved, design=jnp.asarray(design), own=own, rest=_rest_of(garment, moved))
-
-
-def _rest_of(garment: Garment, moved: Garment) -> Float[Array, " E"] | None:
-    """Rest lengths when M̄ is that of another design: edges of the pattern grow as those of M̄ do; metres."""
-    if garment.edges is None or garment.rest is None:
-        return None
-    first, second = jnp.asarray(garment.edges).T
-
-    def length(of: Garment) -> Float[Array, " E"]:
-        points = jnp.asarray(of.graph.vertices)
-        return jnp.sqrt(((points[second] - points[first]) ** 2).sum(-1) + 1e-8)
-
-    return jnp.asarray(garment.rest) * length(moved) / length(garment)
-
-
-def mean_drape(model: TryOnModel, garment: Garment, design: Float[ArrayLike, " P"]) -> Float[Array, "N 3"]:
-    """M̄ = W · R_mean(p) at the garment's fixed topology, differentiable in the design; padded vertices are zero.
-
-    Args:
-        model: Its R_mean.
-        garment: From `prepare`.
-        design: Parameters, metres.
-
-    Returns:
-        Vertices, metres.
-
-    Raises:
-        ValueError: the garment was not made from a design.
-    """
-    if garment.template_vertices is None or garment.template_weights is None:
-        raise ValueError("this garment is a mesh without a design: its mean drape does not depend on one")
-    template = apply_mean_drape(model.mean, jnp.asarray(design))
-    return jnp.einsum(
-        "vk,vkc->vc", jnp.asarray(garment.template_weights), template[garment.template_vertices], precision=EXACT
-    )
 
 
 def _carry_fields(garment: Garment, smooth: StageFields, fine: StageFields) -> tuple[StageFields, StageFields]:

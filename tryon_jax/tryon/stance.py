@@ -15,8 +15,8 @@ from tryon_jax.checks import check_choice
 from tryon_jax.nets.config import SMALL, STANCE_EXTENT, TryOnConfig
 from tryon_jax.nets.mlp import MLP
 from tryon_jax.tryon.carrying import carry_values
-from tryon_jax.tryon.draping import with_design
 from tryon_jax.tryon.garment import Garment
+from tryon_jax.tryon.mean_drape import with_design
 from tryon_jax.tryon.model import ALL_FABRICS, Stage, StanceNetwork, TryOnModel, init_networks, of_fabric
 from tryon_jax.tryon.stages import base_and_detail, fine_fields, stance_coefficients, weighted_sum
 from tryon_jax.types import EXACT, ArrayLike, Body, pytree, static
