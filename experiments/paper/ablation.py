@@ -18,6 +18,7 @@ from experiments.paper.variants import (
     measure_variant,
     options_record,
     train_variant,
+    variant_config,
     variant_garments,
 )
 from experiments.shared.evaluate import case_names, held_out_rows, load_all, ray_ends, spread
@@ -65,11 +66,11 @@ class Config:
     """Fabric."""
     stage: StageOptions = field(
         default_factory=lambda: StageOptions(
-            LoopOptions(steps=500, optimiser="muon", learning_rate=1e-2, warmup=100, evaluate_every=250)
+            LoopOptions(steps=400, optimiser="muon", learning_rate=1e-2, warmup=100, evaluate_every=200)
         )
     )
     """Of R_smooth, the same for all."""
-    fine_steps: int = 500
+    fine_steps: int = 300
     """Steps of R_fine."""
     measured_garments: int = 6
     """Garments of each case that are measured, evenly spread; 0 for all."""
@@ -87,8 +88,8 @@ def main(config: Config) -> None:
     names = training_names(config.data, manifest)
     cases = {case: _some(group, config.measured_garments) for case, group in case_names(config.data, manifest).items()}
     read = {name: variant_garments(VARIANTS[name], names, manifest) for name in ("base", *config.variants)}
-    garments = load_all(start, config.data, sorted({n for group in (*read.values(), *cases.values()) for n in group}))
-    measured = {case: [garments[n] for n in group] for case, group in cases.items()}
+    loaded = _Loaded(start, config.data, read, [n for group in cases.values() for n in group])
+    garments = loaded("base")
     shared = {
         "options": options_record(config.stage, config.fine_steps),
         "mean": hash_arrays(*start.mean.mlp.weights, *start.mean.mlp.biases),
@@ -106,11 +107,12 @@ def main(config: Config) -> None:
             continue
         identity = {**shared, "data": dataset_checksum(config.data, seen)}
         record = _read(folder / "trained.json", identity)
+        known = loaded(name)
         if record is None:
             model, record = train_variant(
                 variant,
                 start,
-                [garments[n] for n in seen],
+                [known[n] for n in seen],
                 manifest,
                 config.fabric,
                 config.data,
@@ -124,6 +126,7 @@ def main(config: Config) -> None:
         identity |= evaluated
         if _read(folder / "result.json", identity) is None:
             model = load_model(folder / "model.safetensors")
+            measured = {case: [known[n] for n in group] for case, group in cases.items()}
             record |= {"samples_mm": measure_variant(variant, model, measured, config.fabric, config.measured_shapes)}
             write_text(folder / "result.json", json.dumps(record | {"identity": identity}, indent=1) + "\n")
             print(f"{name}: {summarise(record['samples_mm'])}", flush=True)
@@ -148,10 +151,33 @@ def main(config: Config) -> None:
         },
         # The kNN knows the designs that the base variant is trained on.
         "baselines": measure_baselines(
-            config, start, measured, manifest, variant_garments(VARIANTS["base"], names, manifest)
+            config,
+            start,
+            {case: [garments[n] for n in group] for case, group in cases.items()},
+            manifest,
+            read["base"],
         ),
     }
     publish(config, "ablation", results, markdown, draw, garments=garments)
+
+
+class _Loaded:
+    """Garments as a variant's networks see them: one whose Laplacian is another has other graphs."""
+
+    def __init__(
+        self, start: TryOnModel, root: Path, read: Mapping[str, Sequence[str]], measured: Sequence[str]
+    ) -> None:
+        self.start, self.root, self.read, self.measured = start, root, read, measured
+        self._known: dict[str, dict[str, SimulatedGarment]] = {}
+
+    def __call__(self, variant: str) -> dict[str, SimulatedGarment]:
+        """All that the variant is trained or measured on."""
+        normalisation = variant_config(VARIANTS[variant], self.start.config).laplacian
+        known = self._known.setdefault(normalisation, {})
+        missing = sorted({*self.read[variant], *self.measured} - set(known))
+        model = replace(self.start, config=replace(self.start.config, laplacian=normalisation))
+        known |= load_all(model, self.root, missing)
+        return known
 
 
 def _start(config: Config) -> TryOnModel:
