@@ -21,7 +21,7 @@ ROWS = {
     "kriging": "training drapes kriged over designs and body shapes, no networks",
     "pipeline": "full pipeline: M_fine",
     "refined": "full pipeline and a few steps of the solver (`tryon drape --refine`)",
-    "paper form": "the same in the paper's form, betas at each node, from fewer designs of an earlier simulation",
+    "paper form": "the same in the paper's form, betas at each node, trained for longer on the same data",
     "dressed": "full pipeline against drapes that were dressed by themselves",
     "dressed, simulation": "the simulation against drapes that were dressed by themselves",
     "spread": "simulator's spread between two meshes of a design: displacement",
