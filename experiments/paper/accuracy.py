@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from experiments.paper.ablation import block_ratio
 from experiments.paper.accuracy_table import TWINS, draw, markdown
 from experiments.shared.errors import Errors
 from experiments.shared.evaluate import (
@@ -26,7 +25,7 @@ from experiments.shared.evaluate import (
     spread,
 )
 from experiments.shared.neighbours import Drapes, NearestGarments, load_drapes, transfer
-from experiments.shared.record import RESULTS, publish, read_result
+from experiments.shared.record import RESULTS, publish
 from experiments.shared.refined import Refiner
 from tryon_jax.checks import check_range
 from tryon_jax.contact.skin import Skin
@@ -123,11 +122,9 @@ def main(config: Config) -> None:
             for row, by_fabric in measured.items():
                 for fabric, errors in by_fabric.items():
                     tables[case].setdefault(row, {}).setdefault(fabric, Errors()).update(errors)
-    ablation = read_result(config.out, "ablation")
     results = {
         "garments": {case: len(names) for case, names in cases.items()},
         "known_garments": len(known),
-        "held_out_block": None if ablation is None else block_ratio(ablation["results"]),
         "table": {
             case: {row: {fabric: e.summary() for fabric, e in by.items()} for row, by in table.items()}
             for case, table in tables.items()

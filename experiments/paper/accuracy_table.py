@@ -83,7 +83,6 @@ def aims(results: Mapping[str, Any]) -> list[str]:
 
     trained, unseen = value("as trained"), value("unseen design")
     twins, topologies = value(TWINS), value("unseen topology")
-    block = results.get("held_out_block")
     rows = [
         ("trained design and topology, mm", trained, 0.0, 2.0),
         ("unseen topology, mm", topologies, 0.0, 2.6),
@@ -94,7 +93,6 @@ def aims(results: Mapping[str, Any]) -> list[str]:
         ("unseen design ÷ the better kNN", over_neighbours("unseen design"), 0.0, 0.8),
         ("unseen design ÷ kriging", _ratio(unseen, value("unseen design", "kriging")), 0.0, 1.0),
         ("ends of the range ÷ mean", _ratio(value("as trained", key="ends_mm"), trained), 0.0, 1.5),
-        ("held-out block of betas ÷ mean (short training, see Ablation)", block and block["ratio"], 0.0, 1.5),
         ("unseen design: varying folds, energy ÷ simulated", value("unseen design", key="wrinkles_varying"), 0.75, 1.1),
         ("unseen design: varying folds, correlation", value("unseen design", key="wrinkle_correlation"), 0.7, 1.0),
     ]
