@@ -150,23 +150,56 @@ def tailor(
         if _near_enough(result):
             break
         at = np.asarray(lengths.units)
-        # By which the lengths that are asked for differ from exact ones on the finished drape.
-        offset = _lengths_of(result, body, lengths.held(at)) - lengths.held(at)
+        offset = _offset(result, body, lengths)
         with watch.stage("solve"):
             problem = (lengths, offset, correction, wanted, weights, first, held)
             units = np.clip(solve(_residuals, at, problem, _STEPS).units, -1.0, 1.0)
         step = units - at
         if np.abs(step).max() < _SAME:
             break
-        expected = lengths.held(units) + offset + correction @ step
         values = np.clip(np.asarray(unknowns.values(units), float), session.space.minimum, session.space.maximum)
         trial, trial_lengths = sit(session.space.from_values(values))
-        off = _lengths_of(trial, body, expected) - expected
-        correction += np.outer(off, step) / (step @ step)
+        other = (trial, units)
         # A round that got worse has told something of the derivative; the next begins where the last good one did.
         if _cost(trial) < _cost(result):
+            other = (result, at)
             result, lengths = replace(trial, rounds=k + 1), trial_lengths
+        _correct(correction, result, lengths, body, *other)
     return result
+
+
+def _correct(
+    correction: Float[np.ndarray, "L U"],
+    result: Tailored,
+    lengths: "_Lengths",
+    body: ShapedBody,
+    other: Tailored,
+    units: Float[np.ndarray, " U"],
+) -> None:
+    """Broyden's update: from the best design so far, the corrected lengths are right at another one too.
+
+    The lengths' own derivative is that of the best design. Where a tape slips over the sleeves it may have the wrong
+    sign elsewhere, and a correction for that does not hold here.
+
+    Args:
+        correction: Of the derivative; changed in place.
+        result: The best design.
+        lengths: Of it.
+        body: The body.
+        other: Another design.
+        units: Of it.
+    """
+    step = units - np.asarray(lengths.units)
+    if not step.any():
+        return
+    expected = lengths.held(units) + _offset(result, body, lengths) + correction @ step
+    correction += np.outer(_lengths_of(other, body, expected) - expected, step) / (step @ step)
+
+
+def _offset(result: Tailored, body: ShapedBody, lengths: "_Lengths") -> Float[np.ndarray, " L"]:
+    """By which exact lengths on the finished drape differ from those that the derivative is of, metres."""
+    found = lengths.held(np.asarray(lengths.units))
+    return _lengths_of(result, body, found) - found
 
 
 def sitting(dressed: DressedBody, session: Session, target: FitTarget) -> dict[str, float | None]:
