@@ -59,8 +59,7 @@ _FLAT = UNetConfig(widths=(48,), encoder_convs=11)
 VARIANTS: dict[str, Variant] = {
     "base": Variant("`small` as it is"),
     "node": Variant(
-        "the paper's form (`small-node`): betas at each node, no waves, no design, symmetric Laplacian; each body is a "
-        "pass, so networks are half as wide and see 4 bodies for 16",
+        "the paper's form, `small-node`",
         {
             name: getattr(load_config("small-node"), name)
             for name in ("conditioning", "wavelengths", "design_features", "laplacian", "smooth", "fine")
