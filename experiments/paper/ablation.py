@@ -275,8 +275,8 @@ def markdown(results: Mapping[str, Any]) -> list[str]:
     variants, baselines = results["variants"], results["baselines"]
     lines = [
         f"R_smooth and R_fine for {results['fabric']}, without kriged drapes, as many steps for every variant, far "
-        "fewer than the shipped weights had: differences between rows matter, not their size. One seed each; less than "
-        "about 0.3 mm is noise. Error of M_fine, mean per vertex on test shapes, mm. Folds: energy of those that vary "
+        "fewer than the shipped weights had: differences between rows matter, not their size. One seed each: small "
+        "differences say little. Error of M_fine, mean per vertex on test shapes, mm. Folds: energy of those that vary "
         "with the body over that of the simulation, and how they correlate with it, on unseen designs. Minutes on a "
         "machine that did other work too. In the paper's form (betas at each node, no waves, no design, symmetric "
         "Laplacian) each body is a pass: its networks are narrower and see 4 bodies of a garment in place of 16.",
