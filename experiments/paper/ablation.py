@@ -107,8 +107,8 @@ def main(config: Config) -> None:
             continue
         identity = {**shared, "data": dataset_checksum(config.data, seen)}
         record = _read(folder / "trained.json", identity)
-        known = loaded(name)
         if record is None:
+            known = loaded(name)
             model, record = train_variant(
                 variant,
                 start,
@@ -126,6 +126,7 @@ def main(config: Config) -> None:
         identity |= evaluated
         if _read(folder / "result.json", identity) is None:
             model = load_model(folder / "model.safetensors")
+            known = loaded(name)
             measured = {case: [known[n] for n in group] for case, group in cases.items()}
             record |= {"samples_mm": measure_variant(variant, model, measured, config.fabric, config.measured_shapes)}
             write_text(folder / "result.json", json.dumps(record | {"identity": identity}, indent=1) + "\n")
@@ -174,9 +175,9 @@ class _Loaded:
         """All that the variant is trained or measured on."""
         normalisation = variant_config(VARIANTS[variant], self.start.config).laplacian
         known = self._known.setdefault(normalisation, {})
-        missing = sorted({*self.read[variant], *self.measured} - set(known))
-        model = replace(self.start, config=replace(self.start.config, laplacian=normalisation))
-        known |= load_all(model, self.root, missing)
+        if missing := sorted({*self.read[variant], *self.measured} - set(known)):
+            model = replace(self.start, config=replace(self.start.config, laplacian=normalisation))
+            known |= load_all(model, self.root, missing)
         return known
 
 

@@ -55,3 +55,12 @@ def test_what_cannot_be_stacked_is_named(garment):
     assert array_shapes(garment) != array_shapes(longer(garment))
     with pytest.raises(ValueError, match="tables of neighbours"):
         stack_garments([garment, longer(garment)])
+
+
+@pytest.mark.parametrize("dropout", [0.0, 1.0])
+def test_who_is_not_told_the_design_has_no_place_on_the_pattern(garment, dropout):
+    nothing = np.zeros_like(np.asarray(garment.design))
+    source = BatchSource([samples("a", garment)], garments=2, shapes=3, no_design=nothing, dropout=dropout)
+    drawn = source.draw(np.random.default_rng(0)).garments
+    assert np.asarray(drawn.design).any() == (dropout == 0.0)
+    assert np.asarray(drawn.template_weights).any() == (dropout == 0.0)

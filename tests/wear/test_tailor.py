@@ -79,3 +79,12 @@ def test_the_size_nearest_to_the_ease_is_chosen(session):
         assert "nearest" in best.reason(sizes)
     assert all(size.name in size.words() for size in sizes)
     assert np.isfinite([size.miss for size in sizes]).all()
+
+
+@pytest.mark.slow
+def test_a_tape_that_slips_over_the_sleeves_leads_nowhere_else() -> None:
+    """On this body the girth of a wide T-shirt falls where the pattern grows: the first step is the wrong way."""
+    session = tj.Session(tj.load_pretrained())
+    found = tailor(session, FitTarget({"chest": 0.2076}, 0.2806), (-0.51, 1.85), start="tshirt")
+    assert abs(found.misses["chest"]) < 0.01
+    assert abs(found.misses["hem"]) < 0.005

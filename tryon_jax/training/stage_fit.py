@@ -72,8 +72,8 @@ def fit_stage(
             options.distance,
             options.energy,
             fabric,
-            options.edges,
-            options.normals,
+            edges=options.edges,
+            normals=options.normals,
         )
 
     def evaluate(weights: StageWeights) -> float:

@@ -38,9 +38,9 @@ def normal_error(
     """One minus the cosine between the normals of triangles, averaged over them (dimensionless).
 
     Args:
-        predicted: One drape, metres.
-        target: Where it should be, metres.
-        faces: Triangles, padded with (0, 0, 0).
+        predicted: As in `edge_error`.
+        target: As in `edge_error`.
+        faces: As in `edge_error`.
     """
     corners = jnp.asarray(faces)
     cosine = (face_normals(predicted, corners) * face_normals(target, corners)).sum(axis=1)

@@ -190,8 +190,6 @@ def _correct(
         units: Of it.
     """
     step = units - np.asarray(lengths.units)
-    if not step.any():
-        return
     expected = lengths.held(units) + _offset(result, body, lengths) + correction @ step
     correction += np.outer(_lengths_of(other, body, expected) - expected, step) / (step @ step)
 
